@@ -1,0 +1,369 @@
+"""The vocabulary that every package shares: samples, solutions, reports, events, errors.
+
+Conventions (the contract of the whole project)
+-----------------------------------------------
+- Frames: ``e`` ECEF (WGS-84), ``n`` local north-east-down at the vehicle, ``b`` body
+  forward-right-down. ``C_nb`` and ``q_nb`` (Hamilton, scalar first) take body vectors to ``n``.
+- Units are SI and radians. Names that carry another unit say so (``_deg``, ``_ms``) and live only
+  in drivers, configuration keys and what people read.
+- Time is int64 nanoseconds on one clock per recording. ``t_ns`` is the time of validity,
+  ``t_rx_ns`` the time of arrival, ``seq`` the arrival number across all sensors of a vehicle.
+- Samples are columns: one frozen object holds many samples of one sensor. A missing value is NaN.
+  A single live sample is a block of length one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+NS = 1_000_000_000
+"""Nanoseconds in a second."""
+
+
+# --------------------------------------------------------------------------- errors
+
+
+class CompanionError(Exception):
+    """Base of every error that the project raises on purpose; its text is one line for a user."""
+
+
+class ConfigError(CompanionError):
+    """A configuration that cannot be used; names the key, its unit and what would be right."""
+
+
+class LogFormatError(CompanionError):
+    """A log that cannot be read at all, or that holds nothing which can be navigated with."""
+
+
+class ImuTooSlowError(LogFormatError):
+    """The best inertial source is slower than a strapdown filter can use; names the rate."""
+
+
+# --------------------------------------------------------------------------- samples
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Columns shared by every sensor; all arrays have the same first dimension N."""
+
+    source: str
+    """Name of the stream, as the log names it (``HIGHRES_IMU``, ``imu2``, ``GPS[0]``)."""
+    t_ns: I64
+    """(N,) time of validity as stamped by the source; latencies are taken off by the engine."""
+    t_rx_ns: I64
+    """(N,) time of arrival on the same clock, never decreasing."""
+    seq: I64
+    """(N,) arrival number, unique and increasing over all streams of one vehicle."""
+
+    def __len__(self) -> int:
+        return int(self.t_ns.shape[0])
+
+    def take(self, index: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Self:
+        """The same columns, restricted to the rows of ``index``."""
+        cut = {
+            f.name: getattr(self, f.name)[index]
+            for f in fields(self)
+            if isinstance(getattr(self, f.name), np.ndarray)
+        }
+        return replace(self, **cut)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSamples(Samples):
+    """Inertial samples: angular rate and specific force, or their means over an interval."""
+
+    gyro_b: F64
+    """(N, 3) angular rate [rad/s]."""
+    accel_b: F64
+    """(N, 3) specific force [m/s²]; (0, 0, −9.81) level and at rest."""
+    interval_s: F64
+    """(N,) for an IMU that gives integrals: the integration interval that ends at ``t_ns`` [s],
+    ``gyro_b`` and ``accel_b`` then being integral / interval. NaN: an instantaneous sample."""
+
+
+@dataclass(frozen=True, slots=True)
+class GnssSamples(Samples):
+    """GNSS fixes. Missing components are NaN; ``fix_type`` < 2 means that there is no fix."""
+
+    lat: F64
+    """(N,) geodetic latitude [rad]."""
+    lon: F64
+    """(N,) longitude [rad]."""
+    height: F64
+    """(N,) height [m] above the recording's datum (see :attr:`VehicleRecording.height_datum`)."""
+    vel_n: F64
+    """(N, 3) antenna velocity, NED [m/s]; the down component is NaN where only speed and course
+    are known."""
+    sd_pos: F64
+    """(N, 3) reported position standard deviations, NED [m]; NaN where the source has none."""
+    sd_vel: F64
+    """(N, 3) reported velocity standard deviations, NED [m/s]; NaN where the source has none."""
+    num_sats: I64
+    """(N,) satellites used; −1 unknown."""
+    fix_type: I64
+    """(N,) as MAVLink: 0-1 none, 2 two-dimensional, 3 three-dimensional, 4 differential,
+    5 RTK float, 6 RTK fixed."""
+
+
+@dataclass(frozen=True, slots=True)
+class BaroSamples(Samples):
+    """Static pressure."""
+
+    pressure: F64
+    """(N,) [Pa]."""
+
+
+@dataclass(frozen=True, slots=True)
+class MagSamples(Samples):
+    """Magnetic field in body axes."""
+
+    field_b: F64
+    """(N, 3) [T]; sources without an absolute scale give any consistent one."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSamples(Samples):
+    """A solution by somebody else: simulator truth, RTK, or the autopilot's own estimate.
+
+    For evaluation only. Nothing here is ever an input of an estimator.
+    """
+
+    lat: F64
+    """(N,) [rad]."""
+    lon: F64
+    """(N,) [rad]."""
+    height: F64
+    """(N,) [m], same datum as the recording's GNSS."""
+    vel_n: F64
+    """(N, 3) NED [m/s], NaN where unknown."""
+    rpy: F64
+    """(N, 3) roll, pitch, yaw [rad], NaN where unknown."""
+
+
+AidingSamples = GnssSamples | BaroSamples | MagSamples
+AnySamples = ImuSamples | GnssSamples | BaroSamples | MagSamples
+
+
+@dataclass(frozen=True, slots=True)
+class StreamInfo:
+    """What a reader found out about one stream."""
+
+    source: str
+    kind: Literal["imu", "gnss", "baro", "mag", "truth", "autopilot"]
+    count: int
+    rate_hz: float
+    """Median rate; 0 with fewer than two samples."""
+    longest_gap_s: float
+    gaps: int
+    """Intervals longer than five median ones and longer than 0.5 s."""
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleRecording:
+    """Everything recorded of one vehicle, in columns."""
+
+    name: str
+    imu: tuple[ImuSamples, ...] = ()
+    """Best source first; the engine uses the first one unless the configuration names another."""
+    gnss: tuple[GnssSamples, ...] = ()
+    baro: tuple[BaroSamples, ...] = ()
+    mag: tuple[MagSamples, ...] = ()
+    truth: ReferenceSamples | None = None
+    autopilot: ReferenceSamples | None = None
+    height_datum: Literal["hae", "msl"] = "hae"
+    streams: tuple[StreamInfo, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """One run as read from a log: one entry a vehicle, and what was wrong with the file."""
+
+    path: str
+    format: str
+    """``tlog``, ``dataflash``, ``ulog``, ``folder`` or ``mcap``."""
+    vehicles: tuple[VehicleRecording, ...]
+    notes: tuple[str, ...] = ()
+    """One line for each oddity a person should know: bad bytes, clock jumps, truncation."""
+    config_toml: str | None = None
+    """Configuration that came with the data (``vehicle.toml``, or the one in our own log)."""
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
+# --------------------------------------------------------------------------- solutions
+
+
+class Mode(IntEnum):
+    """What the estimator can stand for at an epoch."""
+
+    ALIGNING = 0
+    """No solution yet."""
+    HEADING_UNKNOWN = 1
+    """Position, velocity and level are estimated; heading is being found from motion."""
+    NAVIGATING = 2
+    """Aided within the last second or as configured."""
+    COASTING = 3
+    """Position and velocity aiding is missing for longer than ``engine.coasting_after_s``."""
+
+
+COV_POS, COV_VEL, COV_ATT, COV_ACCEL_BIAS, COV_GYRO_BIAS = range(5)
+"""Rows of :attr:`Solution.cov`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Navigation states at output epochs, as columns."""
+
+    t_ns: I64
+    lat: F64
+    """(N,) [rad] of the IMU's origin."""
+    lon: F64
+    height: F64
+    vel_n: F64
+    """(N, 3) [m/s]."""
+    q_nb: F64
+    """(N, 4) scalar first."""
+    accel_bias_b: F64
+    """(N, 3) [m/s²]."""
+    gyro_bias_b: F64
+    """(N, 3) [rad/s]."""
+    cov: F64
+    """(N, 5, 6) covariance blocks of position (NED, m²), velocity, attitude error (rad², in n),
+    accelerometer bias and gyro bias; each the upper triangle xx, xy, xz, yy, yz, zz."""
+    mode: I64
+    """(N,) :class:`Mode`."""
+    resets: I64
+    """(N,) how many declared resets came before."""
+
+    def __len__(self) -> int:
+        return int(self.t_ns.shape[0])
+
+    @property
+    def sd(self) -> F64:
+        """(N, 5, 3) standard deviations of the blocks of :attr:`cov`."""
+        out: F64 = np.sqrt(self.cov[:, :, [0, 3, 5]])
+        return out
+
+    @classmethod
+    def empty(cls) -> Solution:
+        z = np.zeros
+        i = np.zeros(0, np.int64)
+        return cls(
+            i, z(0), z(0), z(0), z((0, 3)), z((0, 4)), z((0, 3)), z((0, 3)), z((0, 5, 6)), i, i
+        )
+
+    @classmethod
+    def concatenate(cls, parts: list[Solution]) -> Solution:
+        """Join in order; empty for an empty list."""
+        if not parts:
+            return cls.empty()
+        return cls(
+            *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls))  # type: ignore[arg-type]
+        )
+
+
+class Channel(IntEnum):
+    """Aiding channels: what one innovation, one gate and one adaptation belong to."""
+
+    GNSS_POSITION_H = 0
+    GNSS_POSITION_V = 1
+    GNSS_VELOCITY_H = 2
+    GNSS_VELOCITY_V = 3
+    BARO = 4
+    MAG = 5
+    COURSE = 6
+    ZERO_VELOCITY = 7
+    ZERO_RATE = 8
+    NON_HOLONOMIC = 9
+
+
+class Verdict(IntEnum):
+    """What became of an aiding measurement; a refusal always has a name."""
+
+    ACCEPTED = 0
+    REJECTED_GATE = 1
+    """Normalised innovation squared above the gate."""
+    REFUSED_LATE = 2
+    """Older than the delay ring."""
+    REFUSED_NO_FIX = 3
+    """The receiver itself says that there is no fix, or accuracy is beyond the limit."""
+    REFUSED_INVALID = 4
+    """Non-finite or impossible values."""
+    REFUSED_NOT_ALIGNED = 5
+    """There is no solution yet to compare it with."""
+    REFUSED_CLOCK = 6
+    """Its time of validity cannot be right (far in the future)."""
+
+
+@dataclass(frozen=True, slots=True)
+class AidingReports:
+    """One row an update, as columns."""
+
+    t_ns: I64
+    channel: I64
+    """(N,) :class:`Channel`."""
+    source: I64
+    """(N,) index of the receiver or sensor among those of its kind."""
+    dof: I64
+    """(N,) 1 to 3, components used; 0 for a refusal."""
+    innovation: F64
+    """(N, 3) measured − predicted, channel units."""
+    innovation_sd: F64
+    """(N, 3) square root of the diagonal of S = H P Hᵀ + R."""
+    nis: F64
+    """(N,) normalised innovation squared yᵀ S⁻¹ y."""
+    gate: F64
+    """(N,) threshold that ``nis`` was held against."""
+    scale: F64
+    """(N,) factor on R by the adaptation; 1 without one."""
+    verdict: I64
+    """(N,) :class:`Verdict`."""
+
+    def __len__(self) -> int:
+        return int(self.t_ns.shape[0])
+
+    @classmethod
+    def empty(cls) -> AidingReports:
+        i, z = np.zeros(0, np.int64), np.zeros(0)
+        return cls(i, i, i, i, np.zeros((0, 3)), np.zeros((0, 3)), z, z, z, i)
+
+    @classmethod
+    def concatenate(cls, parts: list[AidingReports]) -> AidingReports:
+        """Join in order; empty for an empty list."""
+        if not parts:
+            return cls.empty()
+        return cls(
+            *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls))  # type: ignore[arg-type]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that a person or a program downstream should know, at its time."""
+
+    t_ns: int
+    kind: str
+    """Stable kebab-case name: ``aligned``, ``heading-found``, ``imu-gap``, ``reset``, …"""
+    text: str
+    """One line for people."""
+    level: Literal["info", "warning", "error"] = "info"
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """What one engine step gave out."""
+
+    published: Solution
+    """Epochs reached for the first time: the causal solution, as a user had it at the time."""
+    settled: Solution
+    """Epochs that nothing arriving inside the delay ring can change any more."""
+    reports: AidingReports
+    events: tuple[Event, ...]
