@@ -77,6 +77,13 @@ class Gnss(_Section):
     max_sd_position_m: float = 50.0
     """A fix that reports worse is refused."""
     min_fix_type: int = 3
+    lever_arm_sd_m: float = 0.0
+    """Uncertainty of the lever arm; above 0 it becomes three states of the filter."""
+    slow_error_sd_m: float = 0.0
+    """Slow (first-order Gauss-Markov) error of the receiver's horizontal position; above 0 three
+    states of the filter, the standard deviations above then being the white part."""
+    slow_error_height_sd_m: float = 0.0
+    slow_error_tau_s: float = 120.0
 
 
 class Baro(_Section):
@@ -104,9 +111,9 @@ class Constraints(_Section):
     zero_velocity_sd_mps: float = 0.03
     zero_rate_sd_dps: float = 0.05
     standstill_window_s: float = 1.0
-    standstill_gyro_dps: float = 1.0
-    """Largest spread of the gyro over the window that still counts as standing, 1σ of each axis."""
-    standstill_accel_mps2: float = 0.15
+    standstill_gyro_dps: float = 0.5
+    """Largest spread of the gyro's means over the quarters of the window that counts as standing."""
+    standstill_accel_mps2: float = 0.12
     """The same for the accelerometer."""
     standstill_speed_mps: float = 0.3
     """A standstill is never declared while a recent GNSS velocity exceeds this (plus 2σ)."""

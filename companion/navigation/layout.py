@@ -1,0 +1,127 @@
+"""Where everything lies: the filter's state as one flat float64 vector beside one int64 vector.
+
+One vector holds all that a moment of the filter is: nominal state, the sums of the running
+covariance interval, the standstill detector, the adaptive scales, and P. Copying it is a snapshot, restoring
+it is going back in time, storing it is a checkpoint for a smoother. Kernels index it with the
+offsets below; the error state is indexed with :data:`POS` … :data:`GYRO_BIAS` and, for optional
+states, with the :class:`Layout` of a configuration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.types import I64
+
+# --- nominal state, offsets into s
+Q = 0  # q_nb (4): first, so that the rotation kernels take the whole vector
+LAT, LON, HEIGHT = 4, 5, 6
+VEL_N = 7  # (3)
+ACCEL_BIAS_B = 10  # (3)
+GYRO_BIAS_B = 13  # (3)
+ACCEL_SCALE_B = 16  # (3) f_true = f_measured − bias − scale·f_measured
+GYRO_SCALE_B = 19  # (3)
+LEVER_B = 22  # (3) IMU to antenna
+BARO_BIAS = 25  # pressure height − height
+GNSS_BIAS = 26  # (3) slow error of the receiver's position, NED
+# --- previous inertial sample as measured
+LAST_GYRO = 29  # (3)
+LAST_ACCEL = 32  # (3)
+# --- sums over the running covariance interval
+SUM_T = 35  # T
+SUM_V = 36  # (3) ∫ f_n dt
+SUM_P = 39  # (3) ∫∫ f_n dt dt
+SUM_C = 42  # (9) ∫ C_nb dt
+SUM_CF = 51  # (9) ∫ C_nb diag(f) dt
+SUM_CW = 60  # (9) ∫ C_nb diag(ω) dt
+SUM_XV = 69  # extra velocity variance of bridged gaps [m²/s²]
+SUM_XA = 70  # extra attitude variance of bridged gaps [rad²]
+# --- running likelihood of the aiding, for the bank over headings
+LOG_LIKELIHOOD = 71
+# --- total error state in feedforward mode
+DX = 72  # (MAX_STATES)
+MAX_STATES = 28
+# --- last GNSS speed, for the standstill veto and COASTING
+GNSS_SPEED = DX + MAX_STATES
+GNSS_SPEED_SD = GNSS_SPEED + 1
+# --- standstill detector (see standstill.py)
+STILL = GNSS_SPEED_SD + 1
+STILL_SUB = 4  # sub-blocks of the window
+STILL_SUM = STILL  # n, sums (6), sums of squares (6) of the running sub-block
+STILL_RING = STILL + 13  # per sub-block: means (6), variances (6)
+STILL_LEARNED = STILL_RING + STILL_SUB * 12  # weight, variances at rest (6)
+STILL_SIZE = 13 + STILL_SUB * 12 + 7
+# --- adaptive scale on R, one a channel
+R_SCALE = STILL + STILL_SIZE
+CHANNELS = 10
+# --- covariance, last because its size varies
+P = R_SCALE + CHANNELS
+
+# --- integer state, offsets into k
+T_NOW = 0  # time of the nominal state
+T_IMU = 1  # time of the last inertial sample
+HAVE_IMU = 2  # 1 once LAST_GYRO is valid
+T_POSITION_AID = 3  # last accepted GNSS position
+T_VELOCITY_AID = 4  # last accepted GNSS velocity
+T_GNSS_SPEED = 5  # last usable GNSS velocity, accepted or not
+T_OUTPUT = 6  # grid cell of the last output row
+T_CONSTRAINT = 7  # grid cell of the last non-holonomic update
+STANDING = 8  # detector's verdict
+STILL_COUNT = 9  # full sub-blocks in the ring
+STILL_CELL = 10  # grid cell of the running sub-block
+T_REJECT = 11  # since when position aiding has been rejected without a break; 0 none
+T_COVARIANCE = 12  # grid cell of the last covariance step
+T_SNAPSHOT = 13  # grid cell of the last snapshot
+RESETS = 14  # declared resets so far
+PHASE = 15  # estimator phase that this state belongs to
+INT_SIZE = 16
+
+# --- error state
+POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
+CORE_STATES = 15
+
+# --- entries of the layout vector handed to kernels
+L_N, L_ACCEL_SCALE, L_GYRO_SCALE, L_LEVER, L_BARO, L_GNSS = 0, 1, 2, 3, 4, 5
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Error-state indices of the optional states; −1 where one is absent."""
+
+    n: int
+    accel_scale: int
+    gyro_scale: int
+    lever: int
+    baro: int
+    gnss: int
+
+    @classmethod
+    def build(cls, *, scale: bool, lever: bool, baro: bool, gnss: bool) -> Layout:
+        """Lay out the chosen optional states behind the fifteen of the core."""
+        at = CORE_STATES
+        index = dict.fromkeys(("accel_scale", "gyro_scale", "lever", "baro", "gnss"), -1)
+        for name, wanted, size in (
+            ("accel_scale", scale, 3),
+            ("gyro_scale", scale, 3),
+            ("lever", lever, 3),
+            ("baro", baro, 1),
+            ("gnss", gnss, 3),
+        ):
+            if wanted:
+                index[name] = at
+                at += size
+        return cls(n=at, **index)
+
+    @property
+    def size(self) -> int:
+        """Length of the float state vector."""
+        return P + self.n * self.n
+
+    def vector(self) -> I64:
+        """For kernels: n and the optional indices, by the ``L_`` names."""
+        return np.array(
+            [self.n, self.accel_scale, self.gyro_scale, self.lever, self.baro, self.gnss],
+            dtype=np.int64,
+        )
