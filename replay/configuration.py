@@ -1,0 +1,82 @@
+"""Which configuration a recording is replayed with, and the full text that its log keeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.config import Config, load, parse
+from companion.types import Recording
+
+_DEFAULT_LATENCY_MS = {
+    # ArduPilot streams samples behind its 20 Hz filter, and a fix when it has arrived.
+    "tlog": (10.0, 100.0),
+    # On board the stamp of a u-blox fix is its arrival: 210-230 ms late by ArduPilot's measurement.
+    "dataflash": (10.0, 200.0),
+    # PX4 logs integrals before its filters; 110 ms is its own default for EKF2_GPS_DELAY.
+    "ulog": (0.0, 110.0),
+}
+"""IMU and GNSS latency [ms] by format of the log; other formats stamp validity."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenConfig:
+    """A configuration, where it came from, and the TOML of all its keys."""
+
+    config: Config
+    origin: str
+    """For people: a path, ``from the log``, or what the defaults assume."""
+    toml: str
+    """Every key with its value, so that a later change of a default cannot change a replay."""
+
+
+def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfig:
+    """The file at ``path``, else what came with the data, else defaults for the log's format.
+
+    Raises :class:`~companion.types.ConfigError` for a file or a text that cannot be used.
+    """
+    if path is not None:
+        config, origin = load(path), str(path)
+    elif recording.config_toml is not None:
+        origin = f"came with {recording.path}"
+        config = parse(recording.config_toml, f"configuration in {recording.path}")
+    elif recording.format in _DEFAULT_LATENCY_MS:
+        imu_ms, gnss_ms = _DEFAULT_LATENCY_MS[recording.format]
+        base = Config()
+        config = msgspec.structs.replace(
+            base,
+            imu=msgspec.structs.replace(base.imu, latency_ms=imu_ms),
+            gnss=msgspec.structs.replace(base.gnss, latency_ms=gnss_ms),
+        )
+        origin = (
+            f"defaults for a {recording.format} log: consumer MEMS, "
+            f"IMU {imu_ms:g} ms and GNSS {gnss_ms:g} ms late (--config says it better)"
+        )
+    else:
+        config, origin = Config(), "defaults: consumer MEMS, no latency (--config says it better)"
+    return ChosenConfig(config, origin, to_toml(config))
+
+
+def to_toml(config: Config) -> str:
+    """The configuration as TOML with every key spelled out; :func:`parse` gives it back."""
+    lines: list[str] = []
+    for section, values in msgspec.to_builtins(config).items():
+        lines.append(f"[{section}]")
+        # TOML has no null: an absent key is what stands for None.
+        lines += [f"{key} = {_value(value)}" for key, value in values.items() if value is not None]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # A JSON string is a TOML basic string.
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    return repr(value)
