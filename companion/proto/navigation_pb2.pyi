@@ -6,59 +6,18 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Optional as _Op
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
-class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    ALIGNING: _ClassVar[Mode]
-    HEADING_UNKNOWN: _ClassVar[Mode]
-    NAVIGATING: _ClassVar[Mode]
-    COASTING: _ClassVar[Mode]
-
-class Channel(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    GNSS_POSITION_H: _ClassVar[Channel]
-    GNSS_POSITION_V: _ClassVar[Channel]
-    GNSS_VELOCITY_H: _ClassVar[Channel]
-    GNSS_VELOCITY_V: _ClassVar[Channel]
-    BARO: _ClassVar[Channel]
-    MAG: _ClassVar[Channel]
-    COURSE: _ClassVar[Channel]
-    ZERO_VELOCITY: _ClassVar[Channel]
-    ZERO_RATE: _ClassVar[Channel]
-    NON_HOLONOMIC: _ClassVar[Channel]
-
-class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-    __slots__ = ()
-    ACCEPTED: _ClassVar[Verdict]
-    REJECTED_GATE: _ClassVar[Verdict]
-    REFUSED_LATE: _ClassVar[Verdict]
-    REFUSED_NO_FIX: _ClassVar[Verdict]
-    REFUSED_INVALID: _ClassVar[Verdict]
-    REFUSED_NOT_ALIGNED: _ClassVar[Verdict]
-    REFUSED_CLOCK: _ClassVar[Verdict]
-ALIGNING: Mode
-HEADING_UNKNOWN: Mode
-NAVIGATING: Mode
-COASTING: Mode
-GNSS_POSITION_H: Channel
-GNSS_POSITION_V: Channel
-GNSS_VELOCITY_H: Channel
-GNSS_VELOCITY_V: Channel
-BARO: Channel
-MAG: Channel
-COURSE: Channel
-ZERO_VELOCITY: Channel
-ZERO_RATE: Channel
-NON_HOLONOMIC: Channel
-ACCEPTED: Verdict
-REJECTED_GATE: Verdict
-REFUSED_LATE: Verdict
-REFUSED_NO_FIX: Verdict
-REFUSED_INVALID: Verdict
-REFUSED_NOT_ALIGNED: Verdict
-REFUSED_CLOCK: Verdict
-
 class NavState(_message.Message):
     __slots__ = ("t_ns", "mode", "resets", "lat", "lon", "height", "vel_n", "q_nb", "accel_bias_b", "gyro_bias_b", "cov_pos", "cov_vel", "cov_att", "cov_accel_bias", "cov_gyro_bias", "sd_pos_m", "sd_vel_mps", "sd_att_deg", "roll_deg", "pitch_deg", "yaw_deg")
+    class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        ALIGNING: _ClassVar[NavState.Mode]
+        HEADING_UNKNOWN: _ClassVar[NavState.Mode]
+        NAVIGATING: _ClassVar[NavState.Mode]
+        COASTING: _ClassVar[NavState.Mode]
+    ALIGNING: NavState.Mode
+    HEADING_UNKNOWN: NavState.Mode
+    NAVIGATING: NavState.Mode
+    COASTING: NavState.Mode
     T_NS_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
     RESETS_FIELD_NUMBER: _ClassVar[int]
@@ -81,7 +40,7 @@ class NavState(_message.Message):
     PITCH_DEG_FIELD_NUMBER: _ClassVar[int]
     YAW_DEG_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
-    mode: Mode
+    mode: NavState.Mode
     resets: int
     lat: float
     lon: float
@@ -101,7 +60,7 @@ class NavState(_message.Message):
     roll_deg: float
     pitch_deg: float
     yaw_deg: float
-    def __init__(self, t_ns: _Optional[int] = ..., mode: _Optional[_Union[Mode, str]] = ..., resets: _Optional[int] = ..., lat: _Optional[float] = ..., lon: _Optional[float] = ..., height: _Optional[float] = ..., vel_n: _Optional[_Iterable[float]] = ..., q_nb: _Optional[_Iterable[float]] = ..., accel_bias_b: _Optional[_Iterable[float]] = ..., gyro_bias_b: _Optional[_Iterable[float]] = ..., cov_pos: _Optional[_Iterable[float]] = ..., cov_vel: _Optional[_Iterable[float]] = ..., cov_att: _Optional[_Iterable[float]] = ..., cov_accel_bias: _Optional[_Iterable[float]] = ..., cov_gyro_bias: _Optional[_Iterable[float]] = ..., sd_pos_m: _Optional[_Iterable[float]] = ..., sd_vel_mps: _Optional[_Iterable[float]] = ..., sd_att_deg: _Optional[_Iterable[float]] = ..., roll_deg: _Optional[float] = ..., pitch_deg: _Optional[float] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
+    def __init__(self, t_ns: _Optional[int] = ..., mode: _Optional[_Union[NavState.Mode, str]] = ..., resets: _Optional[int] = ..., lat: _Optional[float] = ..., lon: _Optional[float] = ..., height: _Optional[float] = ..., vel_n: _Optional[_Iterable[float]] = ..., q_nb: _Optional[_Iterable[float]] = ..., accel_bias_b: _Optional[_Iterable[float]] = ..., gyro_bias_b: _Optional[_Iterable[float]] = ..., cov_pos: _Optional[_Iterable[float]] = ..., cov_vel: _Optional[_Iterable[float]] = ..., cov_att: _Optional[_Iterable[float]] = ..., cov_accel_bias: _Optional[_Iterable[float]] = ..., cov_gyro_bias: _Optional[_Iterable[float]] = ..., sd_pos_m: _Optional[_Iterable[float]] = ..., sd_vel_mps: _Optional[_Iterable[float]] = ..., sd_att_deg: _Optional[_Iterable[float]] = ..., roll_deg: _Optional[float] = ..., pitch_deg: _Optional[float] = ..., yaw_deg: _Optional[float] = ...) -> None: ...
 
 class SolutionBatch(_message.Message):
     __slots__ = ("source", "t_ns", "lat", "lon", "height", "vel_n", "q_nb", "accel_bias_b", "gyro_bias_b", "cov", "mode", "resets")
@@ -133,6 +92,44 @@ class SolutionBatch(_message.Message):
 
 class AidingReport(_message.Message):
     __slots__ = ("t_ns", "channel", "verdict", "source", "dof", "innovation", "innovation_sd", "nis", "gate", "scale")
+    class Channel(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        GNSS_POSITION_H: _ClassVar[AidingReport.Channel]
+        GNSS_POSITION_V: _ClassVar[AidingReport.Channel]
+        GNSS_VELOCITY_H: _ClassVar[AidingReport.Channel]
+        GNSS_VELOCITY_V: _ClassVar[AidingReport.Channel]
+        BARO: _ClassVar[AidingReport.Channel]
+        MAG: _ClassVar[AidingReport.Channel]
+        COURSE: _ClassVar[AidingReport.Channel]
+        ZERO_VELOCITY: _ClassVar[AidingReport.Channel]
+        ZERO_RATE: _ClassVar[AidingReport.Channel]
+        NON_HOLONOMIC: _ClassVar[AidingReport.Channel]
+    GNSS_POSITION_H: AidingReport.Channel
+    GNSS_POSITION_V: AidingReport.Channel
+    GNSS_VELOCITY_H: AidingReport.Channel
+    GNSS_VELOCITY_V: AidingReport.Channel
+    BARO: AidingReport.Channel
+    MAG: AidingReport.Channel
+    COURSE: AidingReport.Channel
+    ZERO_VELOCITY: AidingReport.Channel
+    ZERO_RATE: AidingReport.Channel
+    NON_HOLONOMIC: AidingReport.Channel
+    class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        ACCEPTED: _ClassVar[AidingReport.Verdict]
+        REJECTED_GATE: _ClassVar[AidingReport.Verdict]
+        REFUSED_LATE: _ClassVar[AidingReport.Verdict]
+        REFUSED_NO_FIX: _ClassVar[AidingReport.Verdict]
+        REFUSED_INVALID: _ClassVar[AidingReport.Verdict]
+        REFUSED_NOT_ALIGNED: _ClassVar[AidingReport.Verdict]
+        REFUSED_CLOCK: _ClassVar[AidingReport.Verdict]
+    ACCEPTED: AidingReport.Verdict
+    REJECTED_GATE: AidingReport.Verdict
+    REFUSED_LATE: AidingReport.Verdict
+    REFUSED_NO_FIX: AidingReport.Verdict
+    REFUSED_INVALID: AidingReport.Verdict
+    REFUSED_NOT_ALIGNED: AidingReport.Verdict
+    REFUSED_CLOCK: AidingReport.Verdict
     T_NS_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
     VERDICT_FIELD_NUMBER: _ClassVar[int]
@@ -144,8 +141,8 @@ class AidingReport(_message.Message):
     GATE_FIELD_NUMBER: _ClassVar[int]
     SCALE_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
-    channel: Channel
-    verdict: Verdict
+    channel: AidingReport.Channel
+    verdict: AidingReport.Verdict
     source: int
     dof: int
     innovation: _containers.RepeatedScalarFieldContainer[float]
@@ -153,4 +150,4 @@ class AidingReport(_message.Message):
     nis: float
     gate: float
     scale: float
-    def __init__(self, t_ns: _Optional[int] = ..., channel: _Optional[_Union[Channel, str]] = ..., verdict: _Optional[_Union[Verdict, str]] = ..., source: _Optional[int] = ..., dof: _Optional[int] = ..., innovation: _Optional[_Iterable[float]] = ..., innovation_sd: _Optional[_Iterable[float]] = ..., nis: _Optional[float] = ..., gate: _Optional[float] = ..., scale: _Optional[float] = ...) -> None: ...
+    def __init__(self, t_ns: _Optional[int] = ..., channel: _Optional[_Union[AidingReport.Channel, str]] = ..., verdict: _Optional[_Union[AidingReport.Verdict, str]] = ..., source: _Optional[int] = ..., dof: _Optional[int] = ..., innovation: _Optional[_Iterable[float]] = ..., innovation_sd: _Optional[_Iterable[float]] = ..., nis: _Optional[float] = ..., gate: _Optional[float] = ..., scale: _Optional[float] = ...) -> None: ...

@@ -54,7 +54,7 @@ class VehicleInfo(_message.Message):
     height_datum: str
     order: _containers.RepeatedCompositeFieldContainer[Stream]
     streams: _containers.RepeatedCompositeFieldContainer[Stream]
-    def __init__(self, name: _Optional[str] = ..., height_datum: _Optional[str] = ..., order: _Optional[_Iterable[_Union[Stream, _Mapping]]] = ..., streams: _Optional[_Iterable[_Union[Stream, _Mapping]]] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., height_datum: _Optional[str] = ..., order: _Optional[_Iterable[_Union[Stream, _Mapping[str, object]]]] = ..., streams: _Optional[_Iterable[_Union[Stream, _Mapping[str, object]]]] = ...) -> None: ...
 
 class Summary(_message.Message):
     __slots__ = ("json",)
