@@ -54,9 +54,6 @@ class Imu(_Section):
     scale_factor_states: bool = False
     gyro_scale_sd_ppm: float = 5000.0
     accel_scale_sd_ppm: float = 5000.0
-    vibration_gain: float = 0.0
-    """Extra accelerometer noise density as a fraction of the measured high-frequency
-    acceleration [1/√Hz]; 0: off."""
 
 
 class Gnss(_Section):

@@ -38,9 +38,8 @@ from companion.types import NS, F64, I64
     COURSE_VAR,
     COURSE_SPEED,
     BRIDGED_DT,  # an IMU interval longer than this is a bridged gap
-    VIBRATION,
     SIZE,
-) = range(27)
+) = range(26)
 
 # --- integer parameters
 (
@@ -87,7 +86,6 @@ def parameter_vector(config: Config) -> F64:
     p[COURSE_VAR] = (aid.course_sd_deg * DEG) ** 2
     p[COURSE_SPEED] = aid.course_min_speed_mps
     p[BRIDGED_DT] = 0.06
-    p[VIBRATION] = imu.vibration_gain
     return p
 
 

@@ -1,0 +1,273 @@
+"""The ``companion`` command: arguments in, one function call, tables or one JSON object out.
+
+Heavy modules are imported inside the commands, so that ``--help`` answers at once. Exit status:
+0 success, 1 a failure explained in one line on stderr, 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+
+import typer
+from rich.console import Console
+
+from companion import __version__
+
+if TYPE_CHECKING:
+    from replay.window import Window
+
+app = typer.Typer(
+    name="companion",
+    help="Navigation for drones and vehicles: replay recorded flights through the filter, "
+    "evaluate, export, simulate.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+JsonFlag = Annotated[
+    bool, typer.Option("--json", help="One JSON object on stdout; text for people on stderr.")
+]
+ConfigPath = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="Configuration (TOML). Without it: the one that came with the log, else defaults "
+        "for its format. The output says which.",
+    ),
+]
+VehicleName = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Only this vehicle of a log that holds several."),
+]
+
+
+def _console(as_json: bool) -> Console:
+    return Console(stderr=as_json, soft_wrap=True)
+
+
+def _emit(result: Mapping[str, Any]) -> None:
+    sys.stdout.write(json.dumps(result, allow_nan=False) + "\n")
+
+
+def _windows(texts: Sequence[str], option: str) -> list[Window]:
+    """``START+SECONDS`` texts as windows; wrong ones are wrong usage."""
+    from replay.window import Window
+
+    windows = []
+    for text in texts:
+        start, plus, length = text.partition("+")
+        try:
+            window = Window(float(start), float(length))
+        except ValueError:
+            plus = ""
+        if not plus or not (window.start_s >= 0 and 0 < window.seconds < float("inf")):
+            raise typer.BadParameter(
+                f"'{text}': START+SECONDS, both in seconds, such as 120+30",
+                param_hint=f"'{option}'",
+            )
+        windows.append(window)
+    return windows
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < float("inf"):
+        raise typer.BadParameter(
+            f"'{text}': max, 1 (real time) or a factor on real time", param_hint="'--speed'"
+        )
+    return speed
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        print(f"companion {__version__}")
+        raise typer.Exit
+
+
+@app.command(no_args_is_help=True)
+def replay(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG…",
+            help="MAVLink .tlog, ArduPilot .BIN, PX4 .ulg, a run log (.mcap) or a sensor folder; "
+            "several belong to one run.",
+        ),
+    ],
+    config: ConfigPath = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN.mcap", help="Run log to write; without it ./<log>.run.mcap."),
+    ] = None,
+    outage: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="START+SECONDS",
+            help="Withhold GNSS from START, seconds from the recording's start, for SECONDS. "
+            "May be repeated.",
+        ),
+    ] = None,
+    speed: Annotated[
+        str, typer.Option(metavar="max|1|N", help="As fast as it goes, or N times real time.")
+    ] = "max",
+    vehicle: VehicleName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Run a recorded flight through the filter; write its log and a summary.
+
+    Lengths are metres, speeds m/s, angles degrees, times seconds.
+
+    Example: companion replay flight.tlog --outage 120+30 --out flight.run.mcap
+    """
+    console = _console(as_json)
+    windows, factor = _windows(outage or [], "--outage"), _speed(speed)
+    from companion.cli.commands import replay_logs
+
+    _emit_if(as_json, replay_logs(console, logs, config, out, windows, factor, vehicle))
+
+
+@app.command(no_args_is_help=True)
+def evaluate(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A run log, or any log: it is replayed first.")
+    ],
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="Truth in the columns of a sensor folder's truth.csv."),
+    ] = None,
+    window: Annotated[
+        str | None,
+        typer.Option(
+            metavar="START+SECONDS",
+            help="Only this span, in seconds from the recording's start.",
+        ),
+    ] = None,
+    config: ConfigPath = None,
+    vehicle: VehicleName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Errors of the solution against truth, or against the autopilot's own estimate.
+
+    Position m, velocity m/s, attitude degrees; from the end of alignment on.
+
+    Example: companion evaluate flight.run.mcap --window 60+300 --json
+    """
+    console = _console(as_json)
+    windows = _windows([window] if window is not None else [], "--window")
+    from companion.cli.commands import evaluate_run
+
+    span = windows[0] if windows else None
+    _emit_if(as_json, evaluate_run(console, run, truth, span, config, vehicle))
+
+
+@app.command(no_args_is_help=True)
+def export(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A run log, or any log: it is replayed first.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
+    file_format: Annotated[
+        Literal["csv"],
+        typer.Option("--format", help="csv: t_ns, degrees, metres, m/s, standard deviations."),
+    ] = "csv",
+    config: ConfigPath = None,
+    vehicle: VehicleName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Write the solution to a file that other programs read.
+
+    Times are ns, angles degrees, heights metres over the ellipsoid (or the log's own datum).
+
+    Example: companion export flight.run.mcap --format csv -o flight.csv
+    """
+    console = _console(as_json)
+    from companion.cli.commands import export_run
+
+    _emit_if(as_json, export_run(console, run, output, file_format, config, vehicle))
+
+
+@app.command(no_args_is_help=True)
+def simulate(
+    scenario: Annotated[
+        str,
+        typer.Argument(metavar="SCENARIO", help="Name of a built-in scenario, or a .toml file."),
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Directory to write into.")
+    ],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Make a flight with truth: .tlog, sensor folder and truth.csv.
+
+    The same scenario and seed give the same files. Units in scenario files: SI, see their keys.
+
+    Example: companion simulate multirotor-mission -o flight --seed 7
+    """
+    console = _console(as_json)
+    from companion.cli.commands import simulate_scenario
+
+    _emit_if(as_json, simulate_scenario(console, scenario, output, seed))
+
+
+def _emit_if(as_json: bool, result: Mapping[str, Any]) -> None:
+    if as_json:
+        _emit(result)
+
+
+def _fail(text: str, argv: Sequence[str]) -> NoReturn:
+    """One line on stderr (and one JSON object where one was asked for); exit 1."""
+    line = " ".join(text.split())
+    print(f"error: {line}", file=sys.stderr)
+    if "--json" in argv:
+        _emit({"error": line})
+    sys.exit(1)
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Entry point: runs a command and turns every failure into one line and a status."""
+    args = list(sys.argv[1:] if argv is None else argv)
+    try:
+        app(args, prog_name="companion")
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`); nothing is left to tell it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except Exception as error:
+        _fail(_one_line(error), args)
+    sys.exit(0)
+
+
+def _one_line(error: Exception) -> str:
+    from companion.types import CompanionError
+
+    if isinstance(error, CompanionError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'input/output'}: {error.strerror or error}"
+    if isinstance(error, MemoryError):
+        return "not enough memory for this log"
+    if os.environ.get("COMPANION_DEBUG"):
+        traceback.print_exception(error)
+    return (
+        f"internal error {type(error).__name__}: {error}; "
+        "run with COMPANION_DEBUG=1 for the traceback"
+    )

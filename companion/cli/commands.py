@@ -1,0 +1,231 @@
+"""What the commands do; each returns the object that ``--json`` prints.
+
+Modules with kernels are imported inside the functions: a wrong command line must not compile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from rich.console import Console
+from rich.markup import escape
+
+from companion import present
+from companion.types import (
+    AidingReports,
+    CompanionError,
+    LogFormatError,
+    Recording,
+    Solution,
+    VehicleRecording,
+)
+from replay.window import Window
+
+if TYPE_CHECKING:
+    from replay.configuration import ChosenConfig
+    from replay.session import SessionResult
+
+_COMPILING = "Compiling the numerical kernels, once on this machine (up to a minute) …"
+
+
+def replay_logs(
+    console: Console,
+    logs: Sequence[Path],
+    config_path: Path | None,
+    out: Path | None,
+    outages: Sequence[Window],
+    speed: float | None,
+    vehicle_name: str | None,
+) -> dict[str, Any]:
+    """Replay, log, evaluate and describe every vehicle of a run."""
+    with present.notice_if_slow(console, _COMPILING):
+        from replay import session
+    recording, chosen = _read(console, logs, config_path, vehicle_name)
+    fit, refused = session.navigable(recording, vehicle_name)
+    for one in refused:
+        console.print(f"[yellow]Vehicle {escape(one.name)} left out: {escape(one.reason)}")
+    path = _out_path(out, logs)
+    runs = []
+    with session.run_log(path, recording, chosen, outages) as writer:
+        for vehicle in fit:
+            with present.progress(console, f"Vehicle {vehicle.name}") as update:
+                result = session.run_session(
+                    vehicle, chosen, writer=writer, outages=outages, speed=speed, progress=update
+                )
+            runs.append(_describe(result, outages))
+            present.show_run(console, runs[-1])
+        writer.close(session.closing_summary(runs))
+    console.print(f"Run log   {escape(str(path))}")
+    return {
+        "log": [str(p) for p in logs],
+        "format": recording.format,
+        "notes": list(recording.notes),
+        "refused": {one.name: one.reason for one in refused},
+        "out": str(path),
+        "vehicles": runs,
+    }
+
+
+def evaluate_run(
+    console: Console,
+    run: Path,
+    truth: Path | None,
+    window: Window | None,
+    config_path: Path | None,
+    vehicle_name: str | None,
+) -> dict[str, Any]:
+    """Errors of one vehicle's solution; a log without a solution is replayed first."""
+    solved = _solve(console, run, config_path, vehicle_name)
+    from replay import assessment
+
+    vehicle = solved.vehicle
+    if truth is not None:
+        vehicle = replace(vehicle, truth=assessment.read_truth(truth))
+    result = assessment.assess(
+        vehicle,
+        solved.solution,
+        solved.reports,
+        window=window,
+        digest=solved.digest,
+        digest_published=solved.digest_published,
+    )
+    if result is None:
+        raise LogFormatError(f"{run}: no truth and no autopilot estimate to compare with; --truth")
+    accuracy = _plain(result)
+    present.show_accuracy(console, accuracy)
+    return accuracy
+
+
+def export_run(
+    console: Console,
+    run: Path,
+    output: Path,
+    file_format: str,
+    config_path: Path | None,
+    vehicle_name: str | None,
+) -> dict[str, Any]:
+    """Write one vehicle's solution; a log without one is replayed first."""
+    solved = _solve(console, run, config_path, vehicle_name)
+    from replay.export import export_csv
+
+    export_csv(solved.solution, output)
+    console.print(f"Wrote {len(solved.solution)} epochs to {escape(str(output))}")
+    return {
+        "out": str(output),
+        "format": file_format,
+        "vehicle": solved.vehicle.name,
+        "epochs": len(solved.solution),
+        "height_datum": solved.vehicle.height_datum,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """A vehicle with its solution, from a run log or from replaying just now."""
+
+    vehicle: VehicleRecording
+    solution: Solution
+    reports: AidingReports
+    digest: str | None
+    digest_published: str | None
+
+
+def _solve(
+    console: Console, run: Path, config_path: Path | None, vehicle_name: str | None
+) -> _Solved:
+    """The solution that a run log holds, else that of a replay; no log is written."""
+    if run.suffix == ".mcap" and config_path is None:
+        from replay.run_log import read_solution
+
+        stored = read_solution(run, vehicle_name)
+        if len(stored.solution):
+            recording = _recording(console, [run], vehicle_name)
+            vehicle = next(v for v in recording.vehicles if v.name == stored.vehicle)
+            return _Solved(
+                vehicle, stored.solution, stored.reports, stored.digest, stored.digest_published
+            )
+    with present.notice_if_slow(console, _COMPILING):
+        from replay import session
+    recording, chosen = _read(console, [run], config_path, vehicle_name)
+    fit, _ = session.navigable(recording, vehicle_name)
+    if len(fit) > 1:
+        console.print(f"Vehicle {escape(fit[0].name)}, the first of several; --vehicle NAME")
+    with present.progress(console, f"Vehicle {fit[0].name}") as update:
+        result = session.run_session(fit[0], chosen, progress=update)
+    return _Solved(
+        result.vehicle, result.solution, result.reports, result.digest, result.digest_published
+    )
+
+
+def _recording(console: Console, logs: Sequence[Path], vehicle_name: str | None) -> Recording:
+    from replay.reader import read_log
+
+    with present.notice_if_slow(console, "Reading …", after_s=2.0):
+        recording = read_log(logs, vehicle=vehicle_name)
+    for note in recording.notes:
+        console.print(f"Note      {escape(note)}")
+    return recording
+
+
+def _read(
+    console: Console, logs: Sequence[Path], config_path: Path | None, vehicle_name: str | None
+) -> tuple[Recording, ChosenConfig]:
+    from replay.configuration import choose_config
+
+    recording = _recording(console, logs, vehicle_name)
+    return recording, choose_config(recording, config_path)
+
+
+def _out_path(out: Path | None, logs: Sequence[Path]) -> Path:
+    """Where the run log goes; never over a log that is being read."""
+    inputs = {p.resolve() for p in logs}
+    if out is None:
+        stem = logs[0].resolve().name.removesuffix(".mcap").removesuffix(".run")
+        stem = stem.rsplit(".", 1)[0] if logs[0].is_file() and "." in stem else stem
+        out = Path(f"{stem}.run.mcap")
+        if out.resolve() in inputs:
+            out = Path(f"{stem}.again.run.mcap")
+    if out.resolve() in inputs:
+        raise CompanionError(f"{out}: is the log being read; choose another --out")
+    if not out.parent.is_dir():
+        raise CompanionError(f"{out}: the directory {out.parent} does not exist")
+    return out
+
+
+def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any]:
+    """One vehicle's entry of ``replay --json``."""
+    from replay.assessment import assess
+    from replay.summary import summarise
+
+    summary = summarise(result.vehicle, result.solution, result.reports, result.events)
+    accuracy = assess(
+        result.vehicle,
+        result.solution,
+        result.reports,
+        outages=outages,
+        digest=result.digest,
+        digest_published=result.digest_published,
+    )
+    wall_s = max(result.wall_s, 1e-9)
+    return _plain(
+        {
+            **msgspec.structs.asdict(summary),
+            "config": result.chosen.origin,
+            "withheld": [{"start_s": w.start_s, "seconds": w.seconds} for w in outages],
+            "accuracy": accuracy,
+            "digest": result.digest,
+            "digest_published": result.digest_published,
+            "cpu_s": result.cpu_s,
+            "times_real_time": summary.flight.duration_s / wall_s,
+        }
+    )
+
+
+def _plain(value: Any) -> dict[str, Any]:
+    """As it will be in JSON: plain types, and None for what is not a number."""
+    plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(value))
+    return plain

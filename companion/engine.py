@@ -1,0 +1,441 @@
+"""The engine: samples in, in order of arrival; solution, reports and events out. Pure.
+
+No clock, no socket, no thread: time is what the samples say. Live, replay and smoothing call the
+same :meth:`Engine.step`. Aiding may arrive late and out of order inside the delay ring: the filter goes
+back to a snapshot, takes it at its own time, and walks forward again. So there are two solutions:
+
+- *published*: each epoch when it was first reached, with all that had arrived by then;
+- *settled*: each epoch once nothing inside the ring can change it, identical to the bit to what
+  in-order arrival would have given.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.config import DEG, Config
+from companion.estimation import update as up
+from companion.estimation import walk as w
+from companion.estimation.buffers import SampleBuffer
+from companion.estimation.error_state import ErrorStateFilter
+from companion.measurements.barometer import pressure_height
+from companion.measurements.magnetometer import declination
+from companion.types import (
+    NS,
+    F64,
+    I64,
+    AidingReports,
+    AidingSamples,
+    AnySamples,
+    BaroSamples,
+    Event,
+    GnssSamples,
+    ImuSamples,
+    MagSamples,
+    Outputs,
+    Solution,
+    Verdict,
+)
+
+CLOCK_BACK_NS = NS
+"""An IMU clock that goes back further than this has been restarted; less is a late sample."""
+FUTURE_NS = NS
+"""Aiding that claims to be valid this long after it arrived has a wrong clock."""
+WAITING_NS = 60 * NS
+"""Aids waiting for a silent IMU: older ones are forgotten."""
+KEEP_NS = 6 * NS
+"""Aids kept behind the ring, for realignment and relocking."""
+CHUNK = 20_000
+"""Inertial samples walked between two drains of the outputs: bounds memory, not results."""
+
+_GNSS_CHANNELS = np.array([0, 1, 2, 3, 6])
+
+
+@dataclass(slots=True)
+class Counters:
+    """What the engine did with what came in."""
+
+    imu: int = 0
+    imu_not_finite: int = 0
+    imu_out_of_order: int = 0
+    aids: int = 0
+    late_fused: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    rewinds: int = 0
+
+
+class Engine:
+    """One vehicle's estimator behind its delay ring."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.filter = ErrorStateFilter(config)
+        self.counters = Counters()
+        self._imu = SampleBuffer(7)
+        self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
+        self._ring_ns = round(config.engine.delay_ring_s * NS)
+        self._keep_imu_ns = self._ring_ns + round(config.alignment.window_s * NS) + 2 * NS
+        self._axes = np.array(config.imu.axes, dtype=np.float64)
+        self._identity = bool(np.array_equal(self._axes, np.eye(3)))
+        self._sources: dict[str, dict[str, int]] = {}
+        self._published_t = np.iinfo(np.int64).min
+        self._said: dict[tuple[int, str], None] = {}
+        self._settled = hashlib.sha256()
+        self._published = hashlib.sha256()
+        self._refusals: list[AidingReports] = []
+        self._last_fix: tuple[float, float, float] | None = None
+        self._declination: float | None = None
+
+    # ------------------------------------------------------------------ in
+
+    def step(self, samples: AnySamples) -> Outputs:
+        """Take one arrival: a block of one sensor's samples, in order of arrival.
+
+        Malformed samples are counted and dropped, never raised.
+        """
+        if isinstance(samples, ImuSamples):
+            return self._step_imu(samples)
+        self._step_aids(samples)
+        return self._drain()
+
+    def finish(self) -> Outputs:
+        """Settle everything: the run has ended."""
+        return self._drain(final=True)
+
+    @property
+    def digest(self) -> str:
+        """Hash over the bits of the settled solution so far."""
+        return self._settled.hexdigest()
+
+    @property
+    def digest_published(self) -> str:
+        """Hash over everything published, in order."""
+        return self._published.hexdigest()
+
+    # ------------------------------------------------------------------ inertial samples
+
+    def _step_imu(self, block: ImuSamples) -> Outputs:
+        t = block.t_ns - round(self.config.imu.latency_ms * 1e6)
+        rows = np.empty((len(t), 7))
+        if self._identity:
+            rows[:, :3], rows[:, 3:6] = block.gyro_b, block.accel_b
+        else:
+            rows[:, :3] = block.gyro_b @ self._axes.T
+            rows[:, 3:6] = block.accel_b @ self._axes.T
+        rows[:, 6] = np.where(block.interval_s > 0, block.interval_s, 0.0)
+        self.counters.imu += len(t)
+        good = np.isfinite(rows[:, :6]).all(axis=1)
+        if not good.all():
+            self.counters.imu_not_finite += int(len(good) - good.sum())
+            t, rows = t[good], rows[good]
+        parts: list[Outputs] = []
+        while len(t):
+            head = self._head
+            peak = np.maximum.accumulate(np.maximum(t, head)) if head is not None else (
+                np.maximum.accumulate(t)
+            )
+            before = np.concatenate([[head if head is not None else t[0] - 1], peak[:-1]])
+            back = np.flatnonzero(before - t > CLOCK_BACK_NS)
+            stop = int(back[0]) if len(back) else len(t)
+            fresh = t[:stop] > before[:stop]
+            self.counters.imu_out_of_order += int(stop - fresh.sum())
+            new_t, new_rows = t[:stop][fresh], rows[:stop][fresh]
+            for a in range(0, len(new_t), CHUNK):
+                self._imu.append(new_t[a : a + CHUNK], new_rows[a : a + CHUNK])
+                self.filter.advance(self._imu, self._aids)
+                parts.append(self._drain())
+            t, rows = t[stop:], rows[stop:]
+            if len(t):
+                parts.append(self._restart(int(before[stop]), int(t[0])))
+        return _join(parts)
+
+    @property
+    def _head(self) -> int | None:
+        return int(self._imu.t[self._imu.end - 1]) if len(self._imu) else None
+
+    def _restart(self, last: int, now: int) -> Outputs:
+        """The IMU's clock jumped back: settle what was, begin again on the new clock."""
+        out = self._drain(final=True)
+        resets = self.filter._resets(self.filter.phases[-1])
+        self.filter = ErrorStateFilter(self.config)
+        self.filter.phases[0].resets = resets + 1
+        self._imu.clear()
+        self._aids.clear()
+        self._published_t = np.iinfo(np.int64).min
+        event = Event(
+            now,
+            "clock-back",
+            f"IMU clock jumped back by {(last - now) / NS:.1f} s: estimator restarted",
+            "warning",
+        )
+        return _join([out, Outputs(Solution.empty(), Solution.empty(), AidingReports.empty(), (event,))])
+
+    # ------------------------------------------------------------------ aiding
+
+    def _step_aids(self, samples: AidingSamples) -> None:
+        self.counters.aids += len(samples)
+        kind, rows, t, verdict = self._aid_rows(samples)
+        if kind < 0:
+            return
+        index = self._sources.setdefault(type(samples).__name__, {})
+        source = index.setdefault(samples.source, len(index))
+        head = self._head
+        if head is not None:
+            verdict[(verdict == 0) & (t < head - self._ring_ns)] = Verdict.REFUSED_LATE
+        verdict[(verdict == 0) & (t > samples.t_rx_ns + FUTURE_NS)] = Verdict.REFUSED_CLOCK
+        bad = verdict != 0
+        if bad.any():
+            self._refuse(kind, source, t[bad], verdict[bad])
+            rows, t = rows[~bad], t[~bad]
+        if len(t) == 0:
+            return
+        key = np.empty((len(t), 2), np.int64)
+        key[:, 0], key[:, 1] = kind, source
+        last = self._aids.t[self._aids.end - 1] if len(self._aids) else np.iinfo(np.int64).min
+        if t[0] > last and np.all(t[1:] > t[:-1]):
+            self._aids.append(t, rows, key)
+        else:
+            for m in range(len(t)):
+                self._aids.insert(int(t[m]), rows[m], key[m])
+        # Late: the filter's clock has already passed its time of validity.
+        late = t <= self.filter.now[0]
+        if late.any():
+            self.counters.late_fused += int(late.sum())
+            self.counters.rewinds += 1
+            first = int(t[late].min())
+            mark = self.filter.reports.end
+            until = self.filter.now[0]
+            self.filter.rewind(first)
+            self.filter.advance(self._imu, self._aids)
+            self._keep_new_reports(mark, until, t[late], kind, source)
+
+    def _keep_new_reports(self, mark: int, until: int, t: I64, kind: int, source: int) -> None:
+        """Of the reports walked again, keep only those of the aids that are new."""
+        reports = self.filter.reports
+        times = reports.t[mark : reports.end]
+        rows = reports.rows[mark : reports.end]
+        channel = rows[:, up.R_CHANNEL].astype(np.int64)
+        own = (
+            np.isin(channel, _GNSS_CHANNELS)
+            if kind == w.KIND_GNSS
+            else channel == (4 if kind == w.KIND_BARO else 5)
+        )
+        own &= (rows[:, up.R_SOURCE] == source) & np.isin(times, t)
+        keep = own | (times > until)
+        n = int(keep.sum())
+        reports.t[mark : mark + n] = times[keep]
+        reports.rows[mark : mark + n] = rows[keep]
+        reports.end = mark + n
+
+    def _aid_rows(self, samples: AidingSamples) -> tuple[int, F64, I64, I64]:
+        """Kind, rows of the aid table, time of validity, and verdict (0: usable) of samples."""
+        rows = np.full((len(samples), w.AID_SIZE), np.nan)
+        verdict = np.zeros(len(samples), np.int64)
+        if isinstance(samples, GnssSamples):
+            t = samples.t_ns - round(self.config.gnss.latency_ms * 1e6)
+            self._gnss_rows(samples, rows, verdict)
+            return w.KIND_GNSS, rows, t, verdict
+        if isinstance(samples, BaroSamples):
+            if not self.config.baro.use:
+                return -1, rows, samples.t_ns, verdict
+            t = samples.t_ns - round(self.config.baro.latency_ms * 1e6)
+            rows[:, 0] = pressure_height(samples.pressure)
+            rows[:, w.A_VAR] = self.config.baro.sd_m**2
+            sane = np.isfinite(rows[:, 0]) & (samples.pressure > 1000) & (samples.pressure < 120000)
+            verdict[~sane] = Verdict.REFUSED_INVALID
+            return w.KIND_BARO, rows, t, verdict
+        if not self.config.mag.use:
+            return -1, rows, samples.t_ns, verdict
+        t = samples.t_ns - round(self.config.mag.latency_ms * 1e6)
+        rows[:, :3] = samples.field_b - np.array(self.config.mag.hard_iron_t)
+        if not self._identity:
+            rows[:, :3] = rows[:, :3] @ self._axes.T
+        rows[:, w.A_VAR] = (self.config.mag.sd_deg * DEG) ** 2
+        azimuth = self._local_declination(samples)
+        if azimuth is None:
+            verdict[:] = Verdict.REFUSED_NOT_ALIGNED
+        else:
+            rows[:, w.A_AZIMUTH] = azimuth
+        strength = np.linalg.norm(rows[:, :3], axis=1)
+        verdict[~(strength > 0)] = Verdict.REFUSED_INVALID
+        return w.KIND_MAG, rows, t, verdict
+
+    def _gnss_rows(self, g: GnssSamples, rows: F64, verdict: I64) -> None:
+        cfg = self.config.gnss
+        rows[:, 0], rows[:, 1], rows[:, 2] = g.lat, g.lon, g.height
+        rows[:, 3:6] = g.vel_n
+        for columns, reported, configured in (
+            (slice(6, 9), g.sd_pos, (cfg.sd_position_m, cfg.sd_position_m, cfg.sd_height_m)),
+            (
+                slice(9, 12),
+                g.sd_vel,
+                (cfg.sd_velocity_mps, cfg.sd_velocity_mps, cfg.sd_velocity_down_mps),
+            ),
+        ):
+            base = np.broadcast_to(np.array(configured), reported.shape)
+            known = np.isfinite(reported) & (reported > 0)
+            if cfg.sd_reported == "ignore":
+                sd = base
+            elif cfg.sd_reported == "use":
+                sd = np.where(known, reported, base)
+            else:
+                sd = np.where(known, np.maximum(reported, base), base)
+            rows[:, columns] = sd * sd
+        with np.errstate(invalid="ignore"):
+            no_fix = g.fix_type < cfg.min_fix_type
+            no_fix |= g.sd_pos[:, :2].max(axis=1) > cfg.max_sd_position_m
+            broken = ~np.isfinite(rows[:, :3]).all(axis=1)
+            broken |= (np.abs(g.lat) > 1.5533) | (np.abs(g.lon) > 6.2832)
+            broken |= (g.lat == 0) & (g.lon == 0)
+            broken |= (g.height < -1000) | (g.height > 100_000)
+            broken |= np.abs(np.nan_to_num(g.vel_n)).max(axis=1) > 1000
+        verdict[broken] = Verdict.REFUSED_INVALID
+        verdict[no_fix] = Verdict.REFUSED_NO_FIX
+        if not cfg.velocity:
+            rows[:, 3:6] = np.nan
+        if not cfg.position:
+            # The first fix still says where the start is.
+            used = np.flatnonzero(verdict == 0)
+            if self.filter.phases[-1].filters:
+                rows[used, :3] = np.nan
+        good = np.flatnonzero(verdict == 0)
+        if len(good) and self._last_fix is None:
+            m = int(good[0])
+            self._last_fix = (float(g.lat[m]), float(g.lon[m]), float(g.height[m]))
+
+    def _local_declination(self, samples: MagSamples) -> float | None:
+        """Declination at the place of the first fix and its date; None before there is one."""
+        if self._declination is None:
+            if self.config.mag.declination_deg is not None:
+                self._declination = self.config.mag.declination_deg * DEG
+            elif self._last_fix is not None:
+                self._declination = declination(*self._last_fix, int(samples.t_ns[0]))
+        return self._declination
+
+    def _refuse(self, kind: int, source: int, t: I64, verdict: I64) -> None:
+        n = len(t)
+        channel = {w.KIND_GNSS: 0, w.KIND_BARO: 4, w.KIND_MAG: 5}[kind]
+        nan3, nan1 = np.full((n, 3), np.nan), np.full(n, np.nan)
+        column = np.full(n, channel, np.int64)
+        self._refusals.append(
+            AidingReports(
+                t, column, np.full(n, source, np.int64), np.zeros(n, np.int64),
+                nan3, nan3, nan1, nan1, nan1, verdict,
+            )  # fmt: skip
+        )
+        for value, count in zip(*np.unique(verdict, return_counts=True), strict=True):
+            name = Verdict(int(value)).name.lower()
+            self.counters.refused[name] = self.counters.refused.get(name, 0) + int(count)
+
+    # ------------------------------------------------------------------ out
+
+    def _drain(self, final: bool = False) -> Outputs:
+        rows = self.filter.rows
+        head = self._head
+        horizon = (
+            np.iinfo(np.int64).max
+            if final
+            else (head - self._ring_ns - 1 if head is not None else np.iinfo(np.int64).min)
+        )
+        a = rows.after(self._published_t)
+        published = _solution(rows.t[a : rows.end], rows.rows[a : rows.end])
+        if a < rows.end:
+            _hash_rows(self._published, rows.t[a : rows.end], rows.rows[a : rows.end])
+            self._published_t = int(rows.t[rows.end - 1])
+        b = rows.after(horizon)
+        settled = _solution(rows.t[rows.start : b], rows.rows[rows.start : b])
+        if b > rows.start:
+            _hash_rows(self._settled, rows.t[rows.start : b], rows.rows[rows.start : b])
+            rows.start = b
+        reports = self._drain_reports()
+        events = self._drain_events(horizon)
+        if head is not None:
+            self._imu.forget(head - self._keep_imu_ns)
+            self._aids.forget(head - self._ring_ns - KEEP_NS)
+        if len(self._aids):
+            self._aids.forget(int(self._aids.t[self._aids.end - 1]) - WAITING_NS)
+        return Outputs(published, settled, reports, events)
+
+    def _drain_reports(self) -> AidingReports:
+        buffer = self.filter.reports
+        parts = self._refusals
+        if len(buffer):
+            t, r = buffer.t[buffer.start : buffer.end], buffer.rows[buffer.start : buffer.end]
+            parts = [
+                *parts,
+                AidingReports(
+                    t.copy(),
+                    r[:, up.R_CHANNEL].astype(np.int64),
+                    r[:, up.R_SOURCE].astype(np.int64),
+                    r[:, up.R_DOF].astype(np.int64),
+                    r[:, up.R_INNOVATION : up.R_INNOVATION + 3].copy(),
+                    r[:, up.R_SD : up.R_SD + 3].copy(),
+                    r[:, up.R_NIS].copy(),
+                    r[:, up.R_GATE].copy(),
+                    r[:, up.R_SCALE_USED].copy(),
+                    r[:, up.R_VERDICT].astype(np.int64),
+                ),
+            ]
+            buffer.start = buffer.end = 0
+        if not parts:
+            return _NO_REPORTS
+        self._refusals = []
+        return AidingReports.concatenate(parts)
+
+    def _drain_events(self, horizon: int) -> tuple[Event, ...]:
+        if not self.filter.events:
+            return ()
+        fresh = [e for e in self.filter.events if (e.t_ns, e.kind) not in self._said]
+        for e in fresh:
+            self._said[(e.t_ns, e.kind)] = None
+        self.filter.events = [e for e in self.filter.events if e.t_ns > horizon]
+        for key in [key for key in self._said if key[0] <= horizon]:
+            del self._said[key]
+        return tuple(fresh)
+
+
+_NO_REPORTS = AidingReports.empty()
+_NO_SOLUTION = Solution.empty()
+
+
+def _solution(t: I64, r: F64) -> Solution:
+    """Output rows as columns (copied: the buffers are reused)."""
+    if len(t) == 0:
+        return _NO_SOLUTION
+    return Solution(
+        t.copy(),
+        r[:, w.O_LAT].copy(),
+        r[:, w.O_LAT + 1].copy(),
+        r[:, w.O_LAT + 2].copy(),
+        r[:, w.O_VEL : w.O_VEL + 3].copy(),
+        r[:, w.O_Q : w.O_Q + 4].copy(),
+        r[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3].copy(),
+        r[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3].copy(),
+        r[:, w.O_COV : w.O_COV + 30].reshape(-1, 5, 6).copy(),
+        r[:, w.O_MODE].astype(np.int64),
+        r[:, w.O_RESETS].astype(np.int64),
+    )
+
+
+def _hash_rows(digest: hashlib._Hash, t: I64, rows: F64) -> None:
+    """Feed epochs to a digest, each as its time and its row, however many come at once."""
+    block = np.empty((len(t), 1 + w.ROW_SIZE))
+    block[:, 0] = t.view(np.float64)
+    block[:, 1:] = rows
+    digest.update(block.tobytes())
+
+
+def _join(parts: list[Outputs]) -> Outputs:
+    if len(parts) == 1:
+        return parts[0]
+    return Outputs(
+        Solution.concatenate([p.published for p in parts]),
+        Solution.concatenate([p.settled for p in parts]),
+        AidingReports.concatenate([p.reports for p in parts]),
+        tuple(e for p in parts for e in p.events),
+    )
+
+

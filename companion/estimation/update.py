@@ -1,0 +1,178 @@
+"""The one gate and the one update that every aid passes through.
+
+    y = z − h(x),  S = H P Hᵀ + R,  NIS = yᵀ S⁻¹ y against χ²,  K = P Hᵀ S⁻¹,  P ← P − K S Kᵀ
+
+One to three components with independent noise are gated together and then applied one after the
+other. For a scalar and the optimal gain P − (PHᵀ)(PHᵀ)ᵀ/S equals the Joseph form, and its two halves
+are the same products: P stays symmetric to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from companion.estimation.adaptation import scale_of
+from companion.estimation.parameters import BANK, FEEDFORWARD, GATE
+from companion.navigation.error_model import box_plus
+from companion.navigation.layout import ATT, DX, L_N, LOG_LIKELIHOOD
+from companion.navigation.layout import P as P_OFFSET
+from companion.types import F64, I64
+
+# --- columns of a report row
+R_CHANNEL, R_SOURCE, R_DOF = 0, 1, 2
+R_INNOVATION, R_SD = 3, 6
+R_NIS, R_GATE, R_SCALE_USED, R_VERDICT = 9, 10, 11, 12
+REPORT_SIZE = 13
+
+ACCEPTED, REJECTED_GATE, REFUSED_INVALID = 0.0, 1.0, 4.0
+WINSOR = 25.0
+"""Cap on NIS in the likelihood of a heading hypothesis: one outlier must not decide."""
+
+
+@njit("f8(f8[:, ::1], f8[::1], i8, f8[:, ::1])", cache=True)
+def normalised_square(S: F64, y: F64, m: int, L: F64) -> float:
+    """yᵀ S⁻¹ y by Cholesky of the leading m×m of ``S``; the factor goes to ``L``. −1: not definite."""
+    total = 0.0
+    for i in range(m):
+        for j in range(i + 1):
+            x = S[i, j]
+            for k in range(j):
+                x -= L[i, k] * L[j, k]
+            if i == j:
+                if not x > 0.0:
+                    return -1.0
+                L[i, i] = math.sqrt(x)
+            else:
+                L[i, j] = x / L[j, j]
+        x = y[i]
+        for k in range(i):
+            x -= L[i, k] * L[3, k]
+        L[3, i] = x / L[i, i]
+        total += L[3, i] * L[3, i]
+    return total
+
+
+@njit("void(f8[:, ::1], f8[::1], i8)", cache=True)
+def reset_covariance(P: F64, dx: F64, n: int) -> None:
+    """P ← G P Gᵀ for the attitude error re-expressed about the corrected attitude.
+
+    exp(φ') = exp(φ) exp(−φ̂) gives φ' = (φ − φ̂) + ½ φ̂ × (φ − φ̂), so G = I + ½[φ̂×].
+    """
+    x, y, z = 0.5 * dx[ATT], 0.5 * dx[ATT + 1], 0.5 * dx[ATT + 2]
+    for j in range(n):
+        a, b, c = P[ATT, j], P[ATT + 1, j], P[ATT + 2, j]
+        P[ATT, j] = a - z * b + y * c
+        P[ATT + 1, j] = b + z * a - x * c
+        P[ATT + 2, j] = c - y * a + x * b
+    for j in range(n):
+        a, b, c = P[j, ATT], P[j, ATT + 1], P[j, ATT + 2]
+        P[j, ATT] = a - z * b + y * c
+        P[j, ATT + 1] = b + z * a - x * c
+        P[j, ATT + 2] = c - y * a + x * b
+    for i in range(ATT, ATT + 3):
+        for j in range(n):
+            if j < ATT or j > i:
+                P[j, i] = P[i, j]
+
+
+@njit(
+    "b1(f8[::1], i8[::1], f8[::1], i8[::1], i8, i8, f8[:, ::1], f8[::1], f8[::1], i8,"
+    "f8[:, ::1], f8[::1])",
+    cache=True,
+)
+def fuse(
+    s: F64,
+    lay: I64,
+    par: F64,
+    ipar: I64,
+    channel: int,
+    source: int,
+    H: F64,
+    y: F64,
+    R: F64,
+    m: int,
+    W: F64,
+    report: F64,
+) -> bool:
+    """Gate ``m`` components (``H`` (3, n), ``y`` (3,), variances ``R`` (3,)) and apply them.
+
+    Fills ``report`` and returns whether the measurement was accepted. ``W`` (≥ 9, n) is scratch.
+    """
+    n = lay[L_N]
+    P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
+    PHt, dx = W[:3], W[3]
+    S = np.zeros((3, 3))
+    L = np.zeros((4, 3))
+    scale = scale_of(s, channel)
+    for i in range(m):
+        for j in range(n):
+            PHt[i, j] = 0.0
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                if ipar[FEEDFORWARD] == 1:
+                    y[i] -= h * s[DX + k]
+                for j in range(n):
+                    PHt[i, j] += h * P[k, j]
+    for i in range(m):
+        for j in range(i + 1):
+            x = 0.0
+            for k in range(n):
+                x += H[j, k] * PHt[i, k]
+            S[i, j] = x
+            S[j, i] = x
+        S[i, i] += R[i] * scale
+    nis = normalised_square(S, y, m, L)
+    gate = par[GATE + m - 1]
+    report[R_CHANNEL], report[R_SOURCE], report[R_DOF] = channel, source, m
+    for i in range(3):
+        report[R_INNOVATION + i] = y[i] if i < m else np.nan
+        report[R_SD + i] = math.sqrt(S[i, i]) if i < m else np.nan
+    report[R_NIS], report[R_GATE], report[R_SCALE_USED] = nis, gate, scale
+    if not nis >= 0.0:
+        report[R_VERDICT] = REFUSED_INVALID
+        return False
+    if ipar[BANK] == 1:
+        log_det = 0.0
+        for i in range(m):
+            log_det += 2.0 * math.log(L[i, i])
+        s[LOG_LIKELIHOOD] -= 0.5 * (min(nis, WINSOR) + log_det)
+    elif nis > gate:
+        report[R_VERDICT] = REJECTED_GATE
+        return False
+    report[R_VERDICT] = ACCEPTED
+
+    for j in range(n):
+        dx[j] = 0.0
+    for i in range(m):
+        a = PHt[i]
+        for j in range(n):
+            a[j] = 0.0
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(n):
+                    a[j] += h * P[k, j]
+        v = R[i] * scale
+        e = y[i]
+        for k in range(n):
+            v += H[i, k] * a[k]
+            e -= H[i, k] * dx[k]
+        r = 1.0 / math.sqrt(v)
+        for j in range(n):
+            a[j] *= r
+        for j in range(n):
+            dx[j] += a[j] * (r * e)
+            g = a[j]
+            for k in range(n):
+                P[j, k] -= g * a[k]
+    if ipar[FEEDFORWARD] == 1:
+        for j in range(n):
+            s[DX + j] += dx[j]
+    else:
+        box_plus(s, lay, dx)
+        reset_covariance(P, dx, n)
+    return True

@@ -1,0 +1,428 @@
+"""The walk: inertial samples and aiding in order of validity, one kernel for a block or a sample.
+
+Everything that happens to a filter between two moments happens here: strapdown steps, steps split at
+the time of an aid, covariance, aids, constraints, output rows, snapshots. What happens depends on
+the sorted samples alone, never on how they were cut into calls.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from companion.estimation.covariance import propagate
+from companion.estimation.parameters import (
+    BANK,
+    BASE_MODE,
+    BRIDGED_DT,
+    COASTING_NS,
+    CONSTRAINT_NS,
+    COURSE,
+    COURSE_SPEED,
+    COURSE_VAR,
+    COVARIANCE_NS,
+    FEEDFORWARD,
+    GAP_NS,
+    NHC_LEVER,
+    NHC_VAR,
+    OUTPUT_NS,
+    SNAPSHOT_NS,
+    STILL_ACCEL,
+    STILL_GYRO,
+    STILL_NS,
+    STILL_SPEED,
+    ZARU_VAR,
+    ZERO_VELOCITY,
+    ZUPT_VAR,
+)
+from companion.estimation.update import REPORT_SIZE, fuse
+from companion.measurements.barometer import height
+from companion.measurements.gnss import position, velocity
+from companion.measurements.heading import direction
+from companion.measurements.non_holonomic import sideways
+from companion.measurements.standstill import observe, zero_rate, zero_velocity
+from companion.navigation.error_model import box_plus
+from companion.navigation.layout import (
+    ACCEL_BIAS_B,
+    DX,
+    GNSS_SPEED,
+    GNSS_SPEED_SD,
+    HAVE_IMU,
+    HEIGHT,
+    L_N,
+    LAST_GYRO,
+    LAT,
+    RESETS,
+    STANDING,
+    SUM_T,
+    SUM_XA,
+    SUM_XV,
+    T_CONSTRAINT,
+    T_COVARIANCE,
+    T_GNSS_SPEED,
+    T_IMU,
+    T_NOW,
+    T_OUTPUT,
+    T_POSITION_AID,
+    T_REJECT,
+    T_SNAPSHOT,
+    T_VELOCITY_AID,
+    VEL_N,
+)
+from companion.navigation.layout import P as P_OFFSET
+from companion.navigation.mechanisation import advance
+from companion.navigation.rotation import quat_to_matrix
+from companion.types import F64, I64
+
+# --- why a walk ended
+DONE, STOP_GAP, STOP_BROKEN = 0, 1, 2
+
+# --- kinds of aid and columns of the aid table
+KIND_GNSS, KIND_BARO, KIND_MAG = 0, 1, 2
+A_VALUE, A_VELOCITY, A_VAR, A_VAR_VELOCITY = 0, 3, 6, 9
+A_AZIMUTH = 3
+AID_SIZE = 12
+
+# --- columns of an output row
+O_LAT, O_VEL, O_Q, O_ACCEL_BIAS, O_GYRO_BIAS, O_COV, O_MODE, O_RESETS = 0, 3, 6, 10, 13, 16, 46, 47
+ROW_SIZE = 48
+
+BRIDGE_ACCEL_VAR = 1.0
+BRIDGE_GYRO_VAR = 0.01
+"""What a bridged gap may hide: (1 m/s²)² and (0.1 rad/s)², constant over the gap."""
+
+# channels, as types.Channel
+_POS_H, _POS_V, _VEL_H, _VEL_V, _BARO, _MAG, _COURSE, _ZUPT, _ZARU, _NHC = range(10)
+
+
+@njit(
+    "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[::1], i8, f8[:, ::1], f8[:, ::1],"
+    "f8[:, ::1], i8[::1], f8[:, ::1], i8)",
+    cache=True,
+)
+def fuse_gnss(
+    s: F64,
+    k: I64,
+    lay: I64,
+    par: F64,
+    ipar: I64,
+    source: int,
+    z: F64,
+    t: int,
+    C: F64,
+    H: F64,
+    W: F64,
+    reports_t: I64,
+    reports: F64,
+    count: int,
+) -> int:
+    """Fuse one fix: position and velocity, horizontal and vertical apart, then course.
+
+    Horizontal and vertical pass their own gates: a wrong height must not cost the position.
+    Returns the number of report rows after it.
+    """
+    y = np.empty(3)
+    R = np.empty(3)
+    n = lay[L_N]
+    if z[A_VELOCITY] == z[A_VELOCITY] and z[A_VELOCITY + 1] == z[A_VELOCITY + 1]:
+        s[GNSS_SPEED] = math.hypot(z[A_VELOCITY], z[A_VELOCITY + 1])
+        s[GNSS_SPEED_SD] = math.sqrt(z[A_VAR_VELOCITY])
+        k[T_GNSS_SPEED] = t
+    for half in range(4):
+        down = half % 2 == 1
+        o = A_VELOCITY if half >= 2 else A_VALUE
+        v = A_VAR_VELOCITY if half >= 2 else A_VAR
+        m = 1 if down else 2
+        if down:
+            if not z[o + 2] == z[o + 2]:
+                continue
+            R[0] = z[v + 2]
+        else:
+            if not (z[o] == z[o] and z[o + 1] == z[o + 1]):
+                continue
+            R[0], R[1] = z[v], z[v + 1]
+        quat_to_matrix(s, C)
+        if half >= 2:
+            velocity(s, lay, C, z[A_VELOCITY : A_VELOCITY + 3], H, y)
+        else:
+            position(s, lay, C, z[A_VALUE : A_VALUE + 3], H, y)
+        if down:
+            y[0] = y[2]
+            for j in range(n):
+                H[0, j] = H[2, j]
+        good = fuse(s, lay, par, ipar, half, source, H, y, R, m, W, reports[count])
+        reports_t[count] = t
+        count += 1
+        if half == 0:
+            if good:
+                k[T_POSITION_AID] = t
+                k[T_REJECT] = 0
+            elif k[T_REJECT] == 0:
+                k[T_REJECT] = t
+        elif half == 2 and good:
+            k[T_VELOCITY_AID] = t
+    if (
+        ipar[COURSE] == 1
+        and ipar[BANK] == 0
+        and k[T_GNSS_SPEED] == t
+        and s[GNSS_SPEED] > par[COURSE_SPEED]
+    ):
+        quat_to_matrix(s, C)
+        azimuth = math.atan2(z[A_VELOCITY + 1], z[A_VELOCITY])
+        if direction(lay, C, 1.0, 0.0, 0.0, azimuth, H, y):
+            R[0] = par[COURSE_VAR] + z[A_VAR_VELOCITY] / (s[GNSS_SPEED] * s[GNSS_SPEED])
+            fuse(s, lay, par, ipar, _COURSE, source, H, y, R, 1, W, reports[count])
+            reports_t[count] = t
+            count += 1
+    return count
+
+
+@njit(
+    "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[::1], i8, f8[:, ::1],"
+    "f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8)",
+    cache=True,
+)
+def fuse_aid(
+    s: F64,
+    k: I64,
+    lay: I64,
+    par: F64,
+    ipar: I64,
+    kind: I64,
+    z: F64,
+    t: int,
+    C: F64,
+    H: F64,
+    W: F64,
+    reports_t: I64,
+    reports: F64,
+    count: int,
+) -> int:
+    """Fuse one row of the aid table; returns the number of report rows after it."""
+    if kind[0] == KIND_GNSS:
+        return fuse_gnss(
+            s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count
+        )
+    y = np.empty(3)
+    R = np.empty(3)
+    R[0] = z[A_VAR]
+    channel = _BARO
+    if kind[0] == KIND_BARO:
+        height(s, lay, z[A_VALUE], H, y)
+    else:
+        channel = _MAG
+        if ipar[BANK] == 1:
+            return count
+        quat_to_matrix(s, C)
+        if not direction(
+            lay, C, z[A_VALUE], z[A_VALUE + 1], z[A_VALUE + 2], z[A_AZIMUTH], H, y
+        ):
+            return count
+    fuse(s, lay, par, ipar, channel, kind[1], H, y, R, 1, W, reports[count])
+    reports_t[count] = t
+    return count + 1
+
+
+@njit(
+    "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1],"
+    "i8[::1], f8[:, ::1], i8)",
+    cache=True,
+)
+def fuse_constraints(
+    s: F64,
+    k: I64,
+    lay: I64,
+    par: F64,
+    ipar: I64,
+    t: int,
+    C: F64,
+    H: F64,
+    W: F64,
+    reports_t: I64,
+    reports: F64,
+    count: int,
+) -> int:
+    """Zero velocity and zero rate once a standing quarter, non-holonomic on its grid otherwise."""
+    y = np.empty(3)
+    R = np.empty(3)
+    if k[STANDING] == 3:
+        for i in range(3):
+            R[i] = par[ZUPT_VAR]
+        zero_velocity(s, lay, H, y)
+        good = fuse(s, lay, par, ipar, _ZUPT, 0, H, y, R, 3, W, reports[count])
+        reports_t[count] = t
+        count += 1
+        if good:
+            k[T_VELOCITY_AID] = t
+        for i in range(3):
+            R[i] = par[ZARU_VAR]
+        quat_to_matrix(s, C)
+        zero_rate(s, k, lay, C, H, y)
+        fuse(s, lay, par, ipar, _ZARU, 0, H, y, R, 3, W, reports[count])
+        reports_t[count] = t
+        count += 1
+    if ipar[CONSTRAINT_NS] > 0 and t // ipar[CONSTRAINT_NS] != k[T_CONSTRAINT]:
+        k[T_CONSTRAINT] = t // ipar[CONSTRAINT_NS]
+        if k[STANDING] & 1 == 0:
+            R[0] = R[1] = par[NHC_VAR]
+            quat_to_matrix(s, C)
+            sideways(s, lay, C, par[NHC_LEVER], par[NHC_LEVER + 1], par[NHC_LEVER + 2], H, y)
+            fuse(s, lay, par, ipar, _NHC, 0, H, y, R, 2, W, reports[count])
+            reports_t[count] = t
+            count += 1
+    return count
+
+
+@njit("void(f8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
+def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> None:
+    """Fill an output row from the state; in feedforward mode from INS ⊞ error (``total`` scratch)."""
+    for i in range(DX):
+        total[i] = s[i]
+    if ipar[FEEDFORWARD] == 1:
+        box_plus(total, lay, s[DX : DX + lay[L_N]])
+    for i in range(3):
+        row[O_LAT + i] = total[LAT + i]
+        row[O_VEL + i] = total[VEL_N + i]
+        row[O_ACCEL_BIAS + i] = total[ACCEL_BIAS_B + i]
+        row[O_GYRO_BIAS + i] = total[ACCEL_BIAS_B + 3 + i]
+    for i in range(4):
+        row[O_Q + i] = total[i]
+    n = lay[L_N]
+    at = O_COV
+    for block in range(5):
+        for i in range(3):
+            for j in range(i, 3):
+                row[at] = s[P_OFFSET + (3 * block + i) * n + 3 * block + j]
+                at += 1
+    mode = ipar[BASE_MODE]
+    if mode == 2 and k[T_NOW] - max(k[T_POSITION_AID], k[T_VELOCITY_AID]) > ipar[COASTING_NS]:
+        mode = 3
+    row[O_MODE] = mode
+    row[O_RESETS] = k[RESETS]
+
+
+@njit("void(f8[::1], i8[::1], f8[::1], f8[::1], i8, i8, f8[::1], f8[:, ::1])", cache=True)
+def _step(
+    s: F64, k: I64, par: F64, sample: F64, t: int, t_sample: int, at: F64, C: F64
+) -> None:
+    """Strapdown from now to ``t``, at or before the sample's time ``t_sample``."""
+    span = t_sample - k[T_NOW]
+    if t <= k[T_NOW]:
+        return
+    dt = (t - k[T_NOW]) * 1e-9
+    integral = sample[6] > 0.0
+    first = s[LAST_GYRO : LAST_GYRO + 6]
+    fraction = 1.0 if t == t_sample or integral else (t - k[T_NOW]) / span
+    for i in range(6):
+        at[i] = sample[i] if fraction == 1.0 else first[i] + (sample[i] - first[i]) * fraction
+    advance(s, first, at, dt, integral, C)
+    whole = (t_sample - k[T_IMU]) * 1e-9
+    if whole > par[BRIDGED_DT]:
+        s[SUM_XV] += BRIDGE_ACCEL_VAR * whole * dt
+        s[SUM_XA] += BRIDGE_GYRO_VAR * whole * dt
+    if not integral:
+        for i in range(6):
+            s[LAST_GYRO + i] = at[i]
+    k[T_NOW] = t
+
+
+@njit(
+    "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[:, ::1], i8[::1], i8[:, ::1],"
+    "f8[:, ::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1])",
+    cache=True,
+)
+def walk(
+    s: F64,
+    k: I64,
+    lay: I64,
+    par: F64,
+    ipar: I64,
+    imu_t: I64,
+    imu: F64,
+    aid_t: I64,
+    aid_kind: I64,
+    aid: F64,
+    rows_t: I64,
+    rows: F64,
+    reports_t: I64,
+    reports: F64,
+    snaps: F64,
+    snaps_k: I64,
+    at: I64,
+) -> int:
+    """Walk state ``s``, ``k`` over samples ``at[0]:at[1]`` and aids ``at[2]:at[3]``.
+
+    imu_t (N,) ns and imu (N, 7): gyro [rad/s], specific force [m/s²], integration interval [s]
+    or 0; aid_t (M,), aid_kind (M, 2): kind and source, aid (M, AID_SIZE): see the ``A_`` columns.
+    Aids after the last sample wait. Output rows go to ``rows`` from ``at[4]`` on, reports to
+    ``reports`` from ``at[5]``, snapshots to the rings ``snaps``, ``snaps_k``. ``at`` is moved on; the code says why the walk
+    ended: all samples taken, a gap before sample ``at[0]``, or a state that is not finite.
+    """
+    n = lay[L_N]
+    C = np.empty((3, 3))
+    B = np.empty((24, 3, 3))
+    W = np.empty((9 + n, n))
+    H = np.zeros((3, n))
+    total = np.empty(DX)
+    mixed = np.empty(6)
+    i, j, n_rows, n_reports = at[0], at[2], at[4], at[5]
+    code = DONE
+    while i < at[1]:
+        t = imu_t[i]
+        sample = imu[i]
+        if t - k[T_IMU] > ipar[GAP_NS]:
+            code = STOP_GAP
+            break
+        if k[HAVE_IMU] == 0:
+            for c in range(6):
+                s[LAST_GYRO + c] = sample[c]
+            k[HAVE_IMU] = 1
+        healthy = True
+        while j < at[3] and aid_t[j] <= t:
+            _step(s, k, par, sample, aid_t[j], t, mixed, C)
+            healthy = propagate(s, lay, par, B, W) and healthy
+            n_reports = fuse_aid(
+                s, k, lay, par, ipar, aid_kind[j], aid[j], aid_t[j], C, H, W,
+                reports_t, reports, n_reports,
+            )  # fmt: skip
+            j += 1
+        _step(s, k, par, sample, t, t, mixed, C)
+        for c in range(6):
+            s[LAST_GYRO + c] = sample[c]
+        k[T_IMU] = t
+        if ipar[ZERO_VELOCITY] == 1:
+            observe(
+                s, k, sample, t, ipar[STILL_NS], par[STILL_GYRO], par[STILL_ACCEL], par[STILL_SPEED]
+            )
+        standing = k[STANDING] == 3
+        due = ipar[CONSTRAINT_NS] > 0 and t // ipar[CONSTRAINT_NS] != k[T_CONSTRAINT]
+        cell = t // ipar[COVARIANCE_NS]
+        if standing or due or cell != k[T_COVARIANCE]:
+            k[T_COVARIANCE] = cell
+            healthy = propagate(s, lay, par, B, W) and healthy
+            if (standing or due) and healthy:
+                n_reports = fuse_constraints(
+                    s, k, lay, par, ipar, t, C, H, W, reports_t, reports, n_reports
+                )
+        i += 1
+        if not healthy:
+            code = STOP_BROKEN
+            break
+        cell = t // ipar[OUTPUT_NS]
+        if cell != k[T_OUTPUT]:
+            k[T_OUTPUT] = cell
+            rows_t[n_rows] = t
+            write_row(s, k, lay, ipar, total, rows[n_rows])
+            n_rows += 1
+        cell = t // ipar[SNAPSHOT_NS]
+        if cell != k[T_SNAPSHOT]:
+            k[T_SNAPSHOT] = cell
+            slot = cell % snaps.shape[0]
+            for c in range(s.shape[0]):
+                snaps[slot, c] = s[c]
+            for c in range(k.shape[0]):
+                snaps_k[slot, c] = k[c]
+    at[0], at[2], at[4], at[5] = i, j, n_rows, n_reports
+    return code

@@ -1,0 +1,135 @@
+"""Zero velocity and zero rate, and the detector that says when they hold.
+
+A vehicle stands when the means of specific force and rate over four consecutive quarters of the
+window agree, the spread inside each is no more than what was seen at rest before, and no
+recent GNSS velocity says otherwise. The spread at rest is learned while GNSS itself says that there is no
+motion: an engine at idle or a rotor on the ground sets its own measure, and a smooth cruise, which
+means alone cannot tell from rest, shows more of it. Nothing learned and no GNSS: never standing.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from companion.navigation.earth import RATE
+from companion.navigation.layout import (
+    GNSS_SPEED,
+    GNSS_SPEED_SD,
+    GYRO_BIAS,
+    GYRO_BIAS_B,
+    L_N,
+    LAT,
+    STANDING,
+    STILL_CELL,
+    STILL_COUNT,
+    STILL_LEARNED,
+    STILL_RING,
+    STILL_SUB,
+    STILL_SUM,
+    T_GNSS_SPEED,
+    T_NOW,
+    VEL,
+    VEL_N,
+)
+from companion.types import F64, I64
+
+FRESH_NS = 2_000_000_000
+"""A GNSS velocity older than this says nothing about standing."""
+SPREAD_RATIO = 4.0
+"""Variance in the window over variance learned at rest that still counts as rest."""
+FLOOR_GYRO = 7.6e-7
+FLOOR_ACCEL = 1e-4
+"""Variances that quantisation alone gives a quiet sensor: (0.05 °/s)², (0.01 m/s²)²."""
+
+
+@njit("i8(f8[::1], i8[::1], i8, f8, f8, f8)", cache=True)
+def _decide(s: F64, k: I64, t: int, gyro: float, accel: float, speed: float) -> int:
+    if k[STILL_COUNT] < STILL_SUB:
+        return 0
+    fresh = t - k[T_GNSS_SPEED] < FRESH_NS and k[T_GNSS_SPEED] > 0
+    if fresh and s[GNSS_SPEED] > speed + 2.0 * s[GNSS_SPEED_SD]:
+        return 0
+    learned = s[STILL_LEARNED] > 0.0
+    if not learned and not fresh:
+        return 0
+    for i in range(6):
+        low = high = s[STILL_RING + i]
+        variance = 0.0
+        for b in range(STILL_SUB):
+            mean = s[STILL_RING + 12 * b + i]
+            low, high = min(low, mean), max(high, mean)
+            variance = max(variance, s[STILL_RING + 12 * b + 6 + i])
+        if high - low > (gyro if i < 3 else accel):
+            return 0
+        floor = FLOOR_GYRO if i < 3 else FLOOR_ACCEL
+        if learned and variance > SPREAD_RATIO * s[STILL_LEARNED + 1 + i] + floor:
+            return 0
+    if fresh:
+        # A running mean over about ten quarters; GNSS vouches for each of them.
+        weight = min(s[STILL_LEARNED] + 1.0, 10.0)
+        for i in range(6):
+            variance = 0.0
+            for b in range(STILL_SUB):
+                variance = max(variance, s[STILL_RING + 12 * b + 6 + i])
+            s[STILL_LEARNED + 1 + i] += (variance - s[STILL_LEARNED + 1 + i]) / weight
+        s[STILL_LEARNED] = weight
+    return 1
+
+
+@njit("void(f8[::1], i8[::1], f8[:], i8, i8, f8, f8, f8)", cache=True)
+def observe(
+    s: F64, k: I64, sample: F64, t: int, quarter_ns: int, gyro: float, accel: float, speed: float
+) -> None:
+    """Take in one inertial sample (≥ 6,); at the end of a quarter window, decide.
+
+    Sets ``k[STANDING]`` to 1 (standing), 0 (moving) and to 2 + that at the sample which
+    closed a quarter, so that the walker applies the updates once a quarter. ``gyro``, ``accel``: largest spread of the means;
+    ``speed``: fastest GNSS speed that counts as none.
+    """
+    cell = t // quarter_ns
+    k[STANDING] &= 1
+    if cell != k[STILL_CELL]:
+        count = s[STILL_SUM]
+        if count >= 3.0:
+            slot = STILL_RING + 12 * (k[STILL_COUNT] % STILL_SUB)
+            for i in range(6):
+                mean = s[STILL_SUM + 1 + i] / count
+                s[slot + i] = mean
+                s[slot + 6 + i] = max(0.0, s[STILL_SUM + 7 + i] / count - mean * mean)
+            k[STILL_COUNT] += 1
+            k[STANDING] = 2 + _decide(s, k, t, gyro, accel, speed)
+        else:
+            k[STILL_COUNT] = 0
+            k[STANDING] = 0
+        k[STILL_CELL] = cell
+        for i in range(13):
+            s[STILL_SUM + i] = 0.0
+    s[STILL_SUM] += 1.0
+    for i in range(6):
+        x = sample[i]
+        s[STILL_SUM + 1 + i] += x
+        s[STILL_SUM + 7 + i] += x * x
+
+
+@njit("void(f8[::1], i8[::1], f8[:, ::1], f8[::1])", cache=True)
+def zero_velocity(s: F64, lay: I64, H: F64, y: F64) -> None:
+    """Fill ``y`` (3,) [m/s] and ``H`` (3, n): v_n = 0."""
+    for i in range(3):
+        for j in range(lay[L_N]):
+            H[i, j] = 0.0
+        H[i, VEL + i] = 1.0
+        y[i] = -s[VEL_N + i]
+
+
+@njit("void(f8[::1], i8[::1], i8[::1], f8[:, ::1], f8[:, ::1], f8[::1])", cache=True)
+def zero_rate(s: F64, k: I64, lay: I64, C: F64, H: F64, y: F64) -> None:
+    """Fill ``y`` (3,) [rad/s] and ``H`` (3, n): the last quarter's mean rate is bias plus Earth rate."""
+    slot = STILL_RING + 12 * ((k[STILL_COUNT] - 1) % STILL_SUB)
+    north, down = RATE * math.cos(s[LAT]), -RATE * math.sin(s[LAT])
+    for i in range(3):
+        for j in range(lay[L_N]):
+            H[i, j] = 0.0
+        H[i, GYRO_BIAS + i] = 1.0
+        y[i] = s[slot + i] - s[GYRO_BIAS_B + i] - (C[0, i] * north + C[2, i] * down)

@@ -1,0 +1,126 @@
+"""The player: a recording's samples to the engine in their order of arrival.
+
+What arrived is grouped into blocks as long as that changes nothing: a block ends only where another
+stream's sample must come in between for the published solution to be what a user had at the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from companion.config import Config
+from companion.engine import Engine
+from companion.types import (
+    NS,
+    AidingSamples,
+    AnySamples,
+    ImuSamples,
+    LogFormatError,
+    Outputs,
+    VehicleRecording,
+)
+
+BLOCK_S = 10.0
+"""Longest IMU block handed over at once, so that outputs are drained regularly."""
+
+Sink = Callable[[AnySamples, Outputs], None]
+
+
+def choose_imu(vehicle: VehicleRecording, config: Config) -> ImuSamples:
+    """The inertial stream that ``config`` names, or the reader's best."""
+    if not vehicle.imu:
+        raise LogFormatError(f"vehicle {vehicle.name}: no inertial data in the log")
+    if config.imu.source == "auto":
+        return vehicle.imu[0]
+    for stream in vehicle.imu:
+        if stream.source == config.imu.source:
+            return stream
+    names = ", ".join(stream.source for stream in vehicle.imu)
+    raise LogFormatError(f"no inertial stream '{config.imu.source}' in the log; it has {names}")
+
+
+def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples]:
+    """The aiding streams in use: one barometer and magnetometer, the named GNSS receiver or all."""
+    gnss = [
+        g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)
+    ]
+    if vehicle.gnss and not gnss:
+        names = ", ".join(g.source for g in vehicle.gnss)
+        raise LogFormatError(f"no GNSS stream '{config.gnss.source}' in the log; it has {names}")
+    return [*gnss[:1], *vehicle.baro[:1], *vehicle.mag[:1]]
+
+
+def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
+    """Blocks in order of arrival.
+
+    An aiding sample that arrives before the IMU has reached its time of validity may be handed over at any
+    moment up to then; only one that arrives behind it must come exactly at its place.
+    """
+    imu = choose_imu(vehicle, config)
+    streams = choose_aids(vehicle, config)
+    imu_latency = round(config.imu.latency_ms * 1e6)
+    latency = {
+        "GnssSamples": round(config.gnss.latency_ms * 1e6),
+        "BaroSamples": round(config.baro.latency_ms * 1e6),
+        "MagSamples": round(config.mag.latency_ms * 1e6),
+    }
+    peak = np.maximum.accumulate(imu.t_ns) - imu_latency if len(imu) else imu.t_ns
+    # Where each aid falls among the IMU samples, and whether it is late there.
+    queue: list[tuple[int, int, int, bool]] = []
+    for index, stream in enumerate(streams):
+        place = np.searchsorted(imu.seq, stream.seq)
+        valid = stream.t_ns - latency[type(stream).__name__]
+        late = (place > 0) & (peak[np.maximum(place - 1, 0)] >= valid)
+        queue += [
+            (int(q), index, m, bool(x))
+            for m, (q, x) in enumerate(zip(stream.seq, late, strict=True))
+        ]
+    queue.sort()
+    places = np.searchsorted(imu.seq, np.array([q for q, *_ in queue], np.int64))
+    step = np.median(np.diff(imu.t_ns)) if len(imu) > 1 else NS
+    block = max(1, int(BLOCK_S * NS / max(step, 1)))
+    sent = 0
+    pending: list[tuple[int, int]] = []
+    for (_, index, m, late), place in zip(queue, places.tolist(), strict=True):
+        while place - sent > block or (late and place > sent):
+            yield from _aids(streams, pending)
+            stop = min(place, sent + block)
+            yield imu.take(slice(sent, stop))
+            sent = stop
+        pending.append((index, m))
+        if late:
+            yield from _aids(streams, pending)
+    while sent < len(imu):
+        yield from _aids(streams, pending)
+        yield imu.take(slice(sent, sent + block))
+        sent += block
+    yield from _aids(streams, pending)
+
+
+def _aids(
+    streams: list[AidingSamples], pending: list[tuple[int, int]]
+) -> Iterator[AidingSamples]:
+    """Hand over pending aids, each stream's consecutive ones as a block, and clear the list."""
+    by_stream: dict[int, list[int]] = {}
+    for index, m in pending:
+        by_stream.setdefault(index, []).append(m)
+    pending.clear()
+    for index, rows in by_stream.items():
+        yield streams[index].take(np.array(rows, np.int64))
+
+
+def play(vehicle: VehicleRecording, config: Config, sink: Sink | None = None) -> Engine:
+    """Run a recording through a new engine; ``sink`` gets every arrival with what came of it."""
+    engine = Engine(config)
+    last: AnySamples | None = None
+    for block in arrivals(vehicle, config):
+        out = engine.step(block)
+        last = block
+        if sink is not None:
+            sink(block, out)
+    out = engine.finish()
+    if sink is not None and last is not None:
+        sink(last.take(slice(0, 0)), out)
+    return engine
