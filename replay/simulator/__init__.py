@@ -1,13 +1,16 @@
 """Seeded flights and drives with truth, from sensors as their datasheets give them.
 
-``simulate(load_scenario("multirotor-mission"), seed=1)`` is a :class:`VehicleRecording` in memory;
-:func:`write_folder` and :func:`write_tlog` put one on disk. Scenarios and their TOML form are
-described in :mod:`replay.simulator.scenarios`.
+``simulate(load_scenario("multirotor-mission"), seed=1)`` is a ``VehicleRecording`` in memory;
+:func:`write_flight` puts one on disk. Scenarios and their TOML form are described in
+:mod:`replay.simulator.scenarios`.
 """
 
+from replay.sensor_folder_writer import write_folder
+from replay.simulator.flight import write_flight
 from replay.simulator.matching import matching_config
 from replay.simulator.scenarios import SCENARIOS, Scenario, load_scenario, parse_scenario
 from replay.simulator.simulation import Simulation, run, simulate
+from replay.simulator.tlog_writer import write_tlog
 
 __all__ = [
     "SCENARIOS",
@@ -18,4 +21,7 @@ __all__ = [
     "parse_scenario",
     "run",
     "simulate",
+    "write_flight",
+    "write_folder",
+    "write_tlog",
 ]

@@ -73,7 +73,7 @@ def knots(duration_s: float, step_s: float) -> F64:
     """Knot times [s] of a plan, from −LEAD_S to at least ``duration_s`` + LEAD_S."""
     before = int(np.ceil(LEAD_S / step_s))
     after = int(np.ceil((duration_s + LEAD_S) / step_s))
-    return np.arange(-before, after + 1) * step_s
+    return np.asarray(np.arange(-before, after + 1) * step_s, dtype=np.float64)
 
 
 def smooth(values: F64, width_s: float, step_s: float) -> F64:
@@ -90,7 +90,7 @@ def smooth(values: F64, width_s: float, step_s: float) -> F64:
     columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     padded = np.pad(columns, ((half, half), (0, 0)), mode="edge")
     out = np.stack([np.convolve(c, kernel, mode="valid") for c in padded.T], axis=-1)
-    return out.reshape(np.shape(values))
+    return np.asarray(out.reshape(np.shape(values)), dtype=np.float64)
 
 
 def spline(t: F64, values: F64) -> BSpline[np.float64]:

@@ -1,0 +1,27 @@
+"""A simulated flight on disk: sensor folder, tlog and truth in one directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from companion.types import VehicleRecording
+from replay.configuration import to_toml
+from replay.sensor_folder_writer import write_folder
+from replay.simulator.matching import matching_config
+from replay.simulator.scenarios import Scenario
+from replay.simulator.simulation import simulate
+from replay.simulator.tlog_writer import write_tlog
+
+
+def write_flight(scenario: Scenario, seed: int, directory: Path) -> VehicleRecording:
+    """Simulate into ``directory`` (made if absent) and return the recording.
+
+    Files: the sensor folder (``imu.csv`` …, ``truth.csv``, ``vehicle.toml`` with the matching
+    configuration) and ``flight.tlog``. Raises :class:`CompanionError` for a scenario that cannot
+    be simulated or a file that cannot be written.
+    """
+    recording = simulate(scenario, seed)
+    config = matching_config(scenario)
+    write_folder(recording, directory, to_toml(config))
+    write_tlog(recording, directory / "flight.tlog", config.vehicle.kind)
+    return recording
