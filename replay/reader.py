@@ -1,0 +1,161 @@
+"""Read any log that this project understands: one door for all formats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from companion.types import (
+    CompanionError,
+    ImuTooSlowError,
+    LogFormatError,
+    Recording,
+    VehicleRecording,
+)
+from replay.streams import rate_hz
+
+READABLE = "a .tlog, DataFlash .BIN, PX4 .ulg, our own .mcap, or a sensor folder with imu.csv"
+
+_MAGIC = (
+    (b"\x89MCAP", "mcap"),
+    (b"ULog\x01\x12\x35", "ulog"),
+    (b"\xa3\x95", "dataflash"),
+    (b"PK\x03\x04", "a zip archive; unpack it first"),
+    (b"\x1f\x8b", "gzip-compressed data; unpack it first"),
+    (b"MATLAB 5.0", "a MATLAB file"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"\xb5\x62", "u-blox UBX data"),
+    (b"\x89PNG", "an image"),
+)
+_SUFFIXES = {
+    ".tlog": "tlog",
+    ".bin": "dataflash",
+    ".ulg": "ulog",
+    ".mcap": "mcap",
+    ".mat": "a MATLAB file",
+    ".csv": "a bare CSV file; give the sensor folder that holds it",
+    ".zip": "a zip archive; unpack it first",
+    ".ubx": "u-blox UBX data",
+    ".dbc": "a CAN database",
+    ".log": "a text log",
+    ".gz": "gzip-compressed data; unpack it first",
+    ".toml": "a configuration",
+    ".json": "a JSON file",
+    ".md": "a text file",
+}
+_FORMATS = ("tlog", "dataflash", "ulog", "mcap")
+
+
+def _kind(path: Path) -> str:
+    """Name of the format, or words for what the file looks like."""
+    with path.open("rb") as file:
+        head = file.read(16)
+    if not head:
+        return "an empty file"
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            return kind
+    suffix = _SUFFIXES.get(path.suffix.lower())
+    if suffix is not None:
+        return suffix
+    # A tlog begins with the stamp of its first frame; years 2000-2100 start with 0x0003-0x000E.
+    if len(head) > 8 and head[0] == 0 and head[8] in (0xFD, 0xFE):
+        return "tlog"
+    return "an unknown format"
+
+
+def _read(path: Path) -> Recording:
+    """One path of any readable format. The readers are imported when needed: start-up counts."""
+    if path.is_dir():
+        from replay.sensor_folder import read_folder
+
+        return read_folder(path)
+    kind = _kind(path)
+    if kind == "tlog":
+        from replay.tlog import read_tlog
+
+        return read_tlog(path)
+    if kind == "dataflash":
+        from replay.dataflash import read_dataflash
+
+        return read_dataflash(path)
+    if kind == "ulog":
+        from replay.ulog import read_ulog
+
+        return read_ulog(path)
+    if kind == "mcap":
+        from replay.run_log import read_run
+
+        return read_run(path)
+    raise LogFormatError(f"{path}: {kind}; readable is {READABLE}")
+
+
+def _merge(recordings: Sequence[Recording]) -> Recording:
+    """Several files of one run as one recording; their vehicles must have different names."""
+    owner: dict[str, str] = {}
+    for recording in recordings:
+        for vehicle in recording.vehicles:
+            if vehicle.name in owner:
+                raise LogFormatError(
+                    f"{owner[vehicle.name]} and {recording.path} both hold vehicle "
+                    f"'{vehicle.name}'; replay them one at a time"
+                )
+            owner[vehicle.name] = recording.path
+    configs = [r.config_toml for r in recordings if r.config_toml is not None]
+    if len(configs) > 1:
+        raise LogFormatError("several of the paths bring a configuration; give one at a time")
+    return Recording(
+        " + ".join(r.path for r in recordings),
+        recordings[0].format,
+        tuple(v for r in recordings for v in r.vehicles),
+        tuple(f"{Path(r.path).name}: {note}" for r in recordings for note in r.notes),
+        configs[0] if configs else None,
+        {key: value for r in recordings for key, value in r.metadata.items()},
+    )
+
+
+def read_log(paths: Sequence[Path], *, vehicle: str | None = None) -> Recording:
+    """Read one run from one or more paths.
+
+    ``vehicle``: keep only the vehicle of this name. Raises :class:`LogFormatError` with one line
+    if a path cannot be read, is of no readable format, or lacks that vehicle.
+    """
+    if not paths:
+        raise LogFormatError(f"no log given; readable is {READABLE}")
+    recordings = []
+    for path in paths:
+        try:
+            recordings.append(_read(Path(path)))
+        except CompanionError:
+            raise
+        except (OSError, MemoryError) as error:
+            reason = getattr(error, "strerror", None) or "too large for this machine's memory"
+            raise LogFormatError(f"{path}: cannot be read: {reason}") from None
+    merged = recordings[0] if len(recordings) == 1 else _merge(recordings)
+    if vehicle is None:
+        return merged
+    chosen = tuple(v for v in merged.vehicles if v.name == vehicle)
+    if not chosen:
+        names = ", ".join(v.name for v in merged.vehicles) or "none"
+        raise LogFormatError(f"{merged.path}: no vehicle '{vehicle}'; there is {names}")
+    return replace(merged, vehicles=chosen)
+
+
+def require_imu_rate(vehicle: VehicleRecording, minimum_hz: float = 20.0) -> None:
+    """Refuse what a strapdown filter cannot be run on.
+
+    Raises :class:`LogFormatError` without an IMU or without any GNSS fix, and
+    :class:`ImuTooSlowError`, naming stream and rate, if the best IMU is below ``minimum_hz``.
+    """
+    if not vehicle.imu:
+        raise LogFormatError(f"{vehicle.name}: no inertial measurements in the log")
+    best = vehicle.imu[0]
+    rate = rate_hz(best.t_ns)
+    if rate < minimum_hz:
+        raise ImuTooSlowError(
+            f"{vehicle.name}: the best IMU stream, {best.source}, comes at {rate:.1f} Hz; "
+            f"a strapdown filter needs at least {minimum_hz:g} Hz"
+        )
+    if not any((gnss.fix_type >= 2).any() for gnss in vehicle.gnss):
+        raise LogFormatError(f"{vehicle.name}: no GNSS fix in the log")
