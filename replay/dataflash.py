@@ -72,9 +72,7 @@ def _clock(log: DataFlash) -> Clock:
     return Clock(rx, boot[latest], session_row, offset, notes)
 
 
-def _offsets(
-    log: DataFlash, row: I64, boot: I64, session_row: I64
-) -> tuple[I64, tuple[str, ...]]:
+def _offsets(log: DataFlash, row: I64, boot: I64, session_row: I64) -> tuple[I64, tuple[str, ...]]:
     """(S,) Unix − boot [ns] of each session, and notes."""
     fix_row, delay_us = _gps_delays(log)
     edges = np.append(session_row, len(log))
@@ -122,8 +120,8 @@ def _instances(log: DataFlash, name: str) -> list[tuple[str, Columns]]:
         if not len(columns):
             continue
         if "I" in columns.integers:
-            for i in np.unique(columns.integers["I"]):
-                units.append((f"{source}[{i}]", columns.take(columns.integers["I"] == i)))
+            number = columns.integers["I"]
+            units += [(f"{source}[{i}]", columns.take(number == i)) for i in np.unique(number)]
         else:
             units.append((source, columns))
     return units

@@ -171,7 +171,10 @@ def _format(body: U8) -> tuple[str, np.dtype[np.void], str] | None:
         return None
     if not all(letter in _WIRE for letter in letters) or not all(labels):
         return None
-    fields = [("_head", "V3"), *((lb, _WIRE[le][0]) for lb, le in zip(labels, letters, strict=True))]
+    fields = [
+        ("_head", "V3"),
+        *((lb, _WIRE[le][0]) for lb, le in zip(labels, letters, strict=True)),
+    ]
     dtype: np.dtype[np.void] = np.dtype(fields)
     return (name, dtype, letters) if dtype.itemsize == int(body[1]) else None
 

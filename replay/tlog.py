@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.types import (
     F64,
@@ -32,7 +33,6 @@ from drivers.mavlink.framer import U8, FrameIndex, index_frames
 from replay.clocks import (
     MAX_BOOT_US,
     Clock,
-    interpolation,
     plausible_wall,
     unwrapped_interpolation,
     vehicle_clock,
@@ -86,9 +86,7 @@ class _Stream:
         return np.where(usable, stamp, self.clock.boot_us[rows])
 
 
-def _boot_references(
-    buf: U8, index: FrameIndex, rows: I64
-) -> tuple[I64, I64]:
+def _boot_references(buf: U8, index: FrameIndex, rows: I64) -> tuple[I64, I64]:
     """Frame numbers that carry a boot stamp and the stamps [µs], in stream order."""
     found_rows, found_boot = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     ids = index.msgid[rows]
@@ -168,7 +166,7 @@ def _baro(stream: _Stream) -> list[BaroSamples]:
     return []
 
 
-def _new_fixes(table: Table, boot_us: I64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _new_fixes(table: Table) -> NDArray[np.bool_]:
     """Which rows are new epochs of the receiver.
 
     The autopilot sends its latest fix at the stream's rate, which may be faster than the
@@ -198,7 +196,7 @@ def _gnss(stream: _Stream, name: str) -> tuple[GnssSamples | None, F64, int]:
     """(fixes with AMSL heights, undulation [m] of each or NaN, repeats dropped)."""
     table, rows = stream.message(name)
     boot = stream.boot_us(table, rows)
-    keep = _new_fixes(table, boot)
+    keep = _new_fixes(table)
     repeats = int((~keep).sum())
     table, rows, boot = table[keep], rows[keep], boot[keep]
     if not table.shape[0]:
@@ -239,8 +237,8 @@ def _attitude(stream: _Stream, t_ns: I64) -> F64:
     """(N, 3) roll, pitch, yaw [rad] of ATTITUDE at ``t_ns``; NaN where it has gaps."""
     table, rows = stream.message("ATTITUDE")
     at = stream.clock.at(rows, stream.boot_us(table, rows))
-    keep = np.concatenate([[True], at[1:] > np.maximum.accumulate(at)[:-1]]) if at.size else []
-    keep = np.asarray(keep, np.bool_) & np.isfinite(triple(table, ("roll", "pitch", "yaw"))).all(1)
+    keep = np.isfinite(triple(table, ("roll", "pitch", "yaw"))).all(axis=1)
+    keep[1:] &= at[1:] > np.maximum.accumulate(at)[:-1]
     columns = [
         unwrapped_interpolation(t_ns, at[keep], column(table, n)[keep], _MAX_ATTITUDE_GAP_NS)
         for n in ("roll", "pitch", "yaw")
@@ -359,7 +357,7 @@ def _vehicle(stream: _Stream, name: str) -> tuple[VehicleRecording, list[str]]:
         fixes = [replace(fix, height=fix.height + geoid) for fix in fixes]
         truth, autopilot = _raised(truth, geoid), _raised(autopilot, geoid)
         if geoid:
-            notes.append(f"heights above the ellipsoid: AMSL {geoid:+.2f} m, from the GNSS messages")
+            notes.append(f"heights above the ellipsoid: AMSL {geoid:+.2f} m, from the GNSS")
     vehicle, more = finish_vehicle(
         name, imus, fixes, _baro(stream), _mags(stream), truth, autopilot, datum=datum
     )
@@ -396,7 +394,9 @@ def read_tlog(path: Path) -> Recording:
         raise LogFormatError(f"{path}: no MAVLink frame in {buf.shape[0]} bytes; not a tlog")
     notes = []
     if index.bad_bytes:
-        notes.append(f"{index.bad_bytes} bytes that are no frame ({index.bad_crc} bad CRC), dropped")
+        notes.append(
+            f"{index.bad_bytes} bytes that are no frame ({index.bad_crc} bad CRC), dropped"
+        )
     wall, spikes = plausible_wall(index.stamp_us)
     if spikes:
         notes.append(f"{spikes} corrupt wall-clock stamp(s), replaced by their neighbours'")

@@ -348,7 +348,5 @@ def read_ulog(path: Path) -> Recording:
         truth = references[0]
     if autopilot is not None:
         autopilot = references[-1]
-    vehicle, odd = finish_vehicle(
-        "vehicle", imus, gnss, baro, mag, truth, autopilot, datum=datum
-    )
+    vehicle, odd = finish_vehicle("vehicle", imus, gnss, baro, mag, truth, autopilot, datum=datum)
     return Recording(str(path), "ulog", (vehicle,), tuple(notes + odd))

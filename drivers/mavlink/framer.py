@@ -17,10 +17,21 @@ from numpy.typing import NDArray
 from drivers.mavlink.dialect import crc_table
 
 U8 = NDArray[np.uint8]
+Int = int | np.int64
 
-_STAMP, _START, _VERSION, _MSGID, _SYSTEM, _COMPONENT, _SEQ, _PAYLOAD, _LENGTH, _CHECKED, _SIGNED = (
-    range(11)
-)
+(
+    _STAMP,
+    _START,
+    _VERSION,
+    _MSGID,
+    _SYSTEM,
+    _COMPONENT,
+    _SEQ,
+    _PAYLOAD,
+    _LENGTH,
+    _CHECKED,
+    _SIGNED,
+) = range(11)
 _COLUMNS = 11
 _BATCH = 1 << 16
 _BAD_BYTES, _BAD_CRC = range(2)
@@ -32,11 +43,11 @@ STAMP_BYTES = 8
 
 
 @njit("i8(Array(u1, 1, 'C', readonly=True), i8, i8, i8)", cache=True)
-def _x25(buf: U8, start: int, end: int, seed: int) -> int:
+def _x25(buf: U8, start: Int, end: Int, seed: Int) -> Int:
     """CRC-16/MCRF4XX of ``buf[start:end]`` followed by the byte ``seed``."""
-    crc = 0xFFFF
+    crc = np.int64(0xFFFF)
     for i in range(start, end + 1):
-        byte = np.int64(buf[i]) if i < end else seed
+        byte = np.int64(buf[i]) if i < end else np.int64(seed)
         t = byte ^ (crc & 0xFF)
         t = (t ^ (t << 4)) & 0xFF
         crc = (crc >> 8) ^ (t << 8) ^ (t << 3) ^ (t >> 4)
@@ -47,7 +58,7 @@ def _x25(buf: U8, start: int, end: int, seed: int) -> int:
     "i8(Array(u1, 1, 'C', readonly=True), i8, Array(i2, 2, 'C', readonly=True), i8[::1])",
     cache=True,
 )
-def _parse(buf: U8, at: int, table: NDArray[np.int16], row: NDArray[np.int64]) -> int:
+def _parse(buf: U8, at: int, table: NDArray[np.int16], row: NDArray[np.int64]) -> Int:
     """Try a frame at ``at``; fill ``row``. Its end; 0 no frame; −1 cut short; −2 bad CRC."""
     size = buf.shape[0]
     if at >= size:
@@ -59,15 +70,13 @@ def _parse(buf: U8, at: int, table: NDArray[np.int16], row: NDArray[np.int64]) -
     if at + head > size:
         return -1
     length = np.int64(buf[at + 1])
-    signed = 0
+    signed = np.int64(0)
     if magic == 0xFD:
         # Any incompatibility flag but "signed" means a layout that we do not know.
         if buf[at + 2] > 1:
             return 0
         signed = np.int64(buf[at + 2])
-        msgid = (
-            np.int64(buf[at + 7]) | (np.int64(buf[at + 8]) << 8) | (np.int64(buf[at + 9]) << 16)
-        )
+        msgid = np.int64(buf[at + 7]) | (np.int64(buf[at + 8]) << 8) | (np.int64(buf[at + 9]) << 16)
         ids = at + 4
     else:
         msgid = np.int64(buf[at + 5])
@@ -105,7 +114,7 @@ def _in_step(buf: U8, at: int, final: bool) -> bool:
     """Whether the next frame starts at ``at``, or the data end there."""
     if at >= buf.shape[0]:
         return final
-    return buf[at] == 0xFD or buf[at] == 0xFE
+    return bool(buf[at] == 0xFD or buf[at] == 0xFE)
 
 
 @njit(
@@ -224,9 +233,7 @@ def _index(buf: U8, *, final: bool, stamped: bool) -> tuple[FrameIndex, int]:
     columns = {
         name: np.concatenate([batch[i] for batch in batches]) for i, name in enumerate(names)
     }
-    index = FrameIndex(  # type: ignore[arg-type]
-        **columns, bad_bytes=int(counts[_BAD_BYTES]), bad_crc=int(counts[_BAD_CRC])
-    )
+    index = FrameIndex(**columns, bad_bytes=int(counts[_BAD_BYTES]), bad_crc=int(counts[_BAD_CRC]))
     return index, pos
 
 
