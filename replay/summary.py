@@ -16,8 +16,8 @@ from companion.types import (
     Event,
     Mode,
     Solution,
-    Verdict,
     VehicleRecording,
+    Verdict,
 )
 
 _MOVING_MPS = 0.3

@@ -228,6 +228,26 @@ def simulate(
     _emit_if(as_json, simulate_scenario(console, scenario, output, seed))
 
 
+@app.command()
+def bench(
+    scenario: Annotated[
+        str, typer.Option(metavar="SCENARIO", help="What is flown: a built-in name or .toml file.")
+    ] = "hour",
+    repeats: Annotated[int, typer.Option(min=1, help="Runs; the figures are medians.")] = 5,
+    as_json: JsonFlag = False,
+) -> None:
+    """Speed and memory of the filter on a simulated recording in memory.
+
+    CPU in µs an IMU epoch, memory in MB.
+
+    Example: companion bench --repeats 5 --json
+    """
+    console = _console(as_json)
+    from companion.cli.commands import bench_engine
+
+    _emit_if(as_json, bench_engine(console, scenario, repeats))
+
+
 def _emit_if(as_json: bool, result: Mapping[str, Any]) -> None:
     if as_json:
         _emit(result)

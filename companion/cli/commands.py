@@ -184,8 +184,8 @@ def _out_path(out: Path | None, logs: Sequence[Path]) -> Path:
     """Where the run log goes; never over a log that is being read."""
     inputs = {p.resolve() for p in logs}
     if out is None:
-        stem = logs[0].resolve().name.removesuffix(".mcap").removesuffix(".run")
-        stem = stem.rsplit(".", 1)[0] if logs[0].is_file() and "." in stem else stem
+        name = logs[0].resolve().name
+        stem = name if logs[0].is_dir() else Path(name.removesuffix(".run.mcap")).stem
         out = Path(f"{stem}.run.mcap")
         if out.resolve() in inputs:
             out = Path(f"{stem}.again.run.mcap")
@@ -229,3 +229,33 @@ def _plain(value: Any) -> dict[str, Any]:
     """As it will be in JSON: plain types, and None for what is not a number."""
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(value))
     return plain
+
+
+def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) -> dict[str, Any]:
+    """Simulate, and write sensor folder, telemetry log and truth into one directory."""
+    with present.notice_if_slow(console, _COMPILING):
+        from replay.simulator import load_scenario
+        from replay.simulator.flight import write_flight
+    made = load_scenario(scenario)
+    duration_s = made.trajectory.duration_s
+    with present.notice_if_slow(console, f"Simulating {duration_s:g} s …", after_s=2.0):
+        write_flight(made, seed, output)
+    console.print(f"Simulated {escape(made.name)} with seed {seed}, {duration_s:g} s")
+    console.print(f"Replay    companion replay {escape(str(output))}")
+    return {
+        "scenario": made.name,
+        "seed": seed,
+        "duration_s": duration_s,
+        "out": str(output),
+        "tlog": str(output / "flight.tlog"),
+    }
+
+
+def bench_engine(console: Console, scenario: str, repeats: int) -> dict[str, Any]:
+    """Measure the engine on a simulated recording."""
+    with present.notice_if_slow(console, _COMPILING):
+        from replay import bench
+    with present.progress(console, f"Measuring on scenario '{scenario}'") as update:
+        figures = bench.main(scenario=scenario, repeats=repeats, progress=update)
+    present.show_bench(console, figures)
+    return figures

@@ -1,0 +1,215 @@
+"""One recording through the engine: what the commands, tests and benchmarks share.
+
+recording → withheld windows → engine (:func:`replay.player.play`) → log and collected columns
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion import __version__
+from companion.logbook import LogWriter
+from companion.types import (
+    NS,
+    AidingReports,
+    AnySamples,
+    CompanionError,
+    Event,
+    LogFormatError,
+    Outputs,
+    Recording,
+    Solution,
+    VehicleRecording,
+)
+from replay.configuration import ChosenConfig
+from replay.player import play
+from replay.reader import require_imu_rate
+from replay.window import Window
+
+Progress = Callable[[float], None]
+"""Told how much of the recording is done, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class SessionResult:
+    """What the engine made of one vehicle."""
+
+    vehicle: VehicleRecording
+    """As the engine saw it: fixes inside withheld windows are gone."""
+    chosen: ChosenConfig
+    solution: Solution
+    """What was published, in order."""
+    reports: AidingReports
+    events: tuple[Event, ...]
+    digest: str
+    digest_published: str
+    cpu_s: float
+    """CPU time of engine and log writing together [s]."""
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A vehicle that cannot be navigated, and why."""
+
+    name: str
+    reason: str
+
+
+def start_ns(vehicle: VehicleRecording) -> int:
+    """The time that windows count from: the first inertial sample or fix of the vehicle."""
+    first = [int(s.t_ns[0]) for s in (*vehicle.imu[:1], *vehicle.gnss[:1]) if len(s)]
+    if not first:
+        raise LogFormatError(f"vehicle '{vehicle.name}' has neither inertial samples nor fixes")
+    return min(first)
+
+
+def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> VehicleRecording:
+    """The recording without the fixes valid inside any of ``windows``; start included, end not."""
+    if not windows:
+        return vehicle
+    origin = start_ns(vehicle)
+    receivers = []
+    for samples in vehicle.gnss:
+        keep = np.ones(len(samples), np.bool_)
+        for window in windows:
+            begin = origin + round(window.start_s * NS)
+            keep &= (samples.t_ns < begin) | (samples.t_ns >= begin + round(window.seconds * NS))
+        receivers.append(samples.take(keep))
+    return replace(vehicle, gnss=tuple(receivers))
+
+
+def navigable(
+    recording: Recording, name: str | None = None
+) -> tuple[list[VehicleRecording], list[Refused]]:
+    """The vehicles that the strapdown filter can be run on, and the others with the reason.
+
+    Raises the one reason where nothing is left, and :class:`LogFormatError` for an unknown name.
+    """
+    known = [v.name for v in recording.vehicles]
+    if name is not None and name not in known:
+        raise LogFormatError(f"{recording.path}: no vehicle '{name}'; it has {', '.join(known)}")
+    fit: list[VehicleRecording] = []
+    refused: list[Refused] = []
+    errors: list[CompanionError] = []
+    for vehicle in recording.vehicles:
+        if name in (None, vehicle.name):
+            try:
+                require_imu_rate(vehicle)
+                fit.append(vehicle)
+            except CompanionError as error:
+                refused.append(Refused(vehicle.name, str(error)))
+                errors.append(error)
+    if not fit:
+        raise errors[0] if errors else LogFormatError(f"{recording.path}: no vehicle in it")
+    return fit, refused
+
+
+class _Collector:
+    """Receives each engine step: keeps the outputs, logs, paces and reports progress."""
+
+    def __init__(
+        self,
+        vehicle: VehicleRecording,
+        writer: LogWriter | None,
+        speed: float | None,
+        progress: Progress | None,
+    ) -> None:
+        self.published: list[Solution] = []
+        self.reports: list[AidingReports] = []
+        self.events: list[Event] = []
+        self._name = vehicle.name
+        self._writer = writer
+        self._speed = speed
+        self._progress = progress
+        self._origin_ns = start_ns(vehicle)
+        last = [int(s.t_ns[-1]) for s in (*vehicle.imu, *vehicle.gnss) if len(s)]
+        self._span_ns = max(1, max(last) - self._origin_ns)
+        self._begin = time.monotonic()
+
+    def __call__(self, samples: AnySamples, outputs: Outputs) -> None:
+        if len(outputs.published):
+            self.published.append(outputs.published)
+        if len(outputs.reports):
+            self.reports.append(outputs.reports)
+        self.events.extend(outputs.events)
+        if self._writer is not None:
+            self._writer.samples(samples, self._name)
+            self._writer.outputs(outputs, self._name)
+        if len(samples):
+            self._arrived(int(samples.t_rx_ns[-1]) - self._origin_ns)
+
+    def _arrived(self, elapsed_ns: int) -> None:
+        if self._speed is not None:
+            ahead = elapsed_ns / NS / self._speed - (time.monotonic() - self._begin)
+            if ahead > 0:
+                time.sleep(ahead)
+        if self._progress is not None:
+            self._progress(min(1.0, max(0.0, elapsed_ns / self._span_ns)))
+
+
+def run_session(
+    vehicle: VehicleRecording,
+    chosen: ChosenConfig,
+    *,
+    writer: LogWriter | None = None,
+    outages: Sequence[Window] = (),
+    speed: float | None = None,
+    progress: Progress | None = None,
+) -> SessionResult:
+    """Run one vehicle's recording through the engine.
+
+    ``outages`` are windows without GNSS; ``speed`` is a factor on real time, None for as fast as
+    it goes: the solution does not depend on it. Errors of the log's disk come from ``writer``.
+    """
+    flown = withhold_gnss(vehicle, outages)
+    collector = _Collector(flown, writer, speed, progress)
+    wall, cpu = time.monotonic(), time.process_time()
+    if writer is not None:
+        writer.describe(flown)
+    engine = play(flown, chosen.config, collector)
+    if writer is not None:
+        if flown.truth is not None:
+            writer.reference(flown.truth, flown.name, "truth")
+        if flown.autopilot is not None:
+            writer.reference(flown.autopilot, flown.name, "autopilot")
+    return SessionResult(
+        vehicle=flown,
+        chosen=chosen,
+        solution=Solution.concatenate(collector.published),
+        reports=AidingReports.concatenate(collector.reports),
+        events=tuple(collector.events),
+        digest=engine.digest,
+        digest_published=engine.digest_published,
+        cpu_s=time.process_time() - cpu,
+        wall_s=time.monotonic() - wall,
+    )
+
+
+@contextmanager
+def run_log(
+    path: Path, recording: Recording, chosen: ChosenConfig, outages: Sequence[Window] = ()
+) -> Iterator[LogWriter]:
+    """A run log to hand to :func:`run_session`; what was written is kept when a run fails."""
+    metadata = {
+        "companion_version": __version__,
+        "source": recording.path,
+        "source_format": recording.format,
+        "config_origin": chosen.origin,
+        "outages": " ".join(f"{w.start_s:g}+{w.seconds:g}" for w in outages),
+    }
+    with LogWriter(path, config_toml=chosen.toml, metadata=metadata) as writer:
+        yield writer
+
+
+def closing_summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What a run log is closed with: digests, counters and errors of each vehicle."""
+    kept = ("digest", "digest_published", "start", "gates", "accuracy")
+    return {"vehicles": {run["vehicle"]: {key: run[key] for key in kept} for run in runs}}
