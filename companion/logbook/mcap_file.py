@@ -43,6 +43,9 @@ _HEAD = np.dtype(
 )  # fmt: skip
 """What stands before the data of a Message record."""
 
+_ONE_HEAD = struct.Struct("<BQHIQQ")
+_ONE_INDEX = struct.Struct("<QQ")
+
 _NEVER = 2**63 - 1
 """Later than every time."""
 
@@ -60,7 +63,7 @@ class McapFile:
     """
 
     def __init__(
-        self, path: Path, *, chunk_bytes: int = 128 * 1024, chunk_span_ns: int = 2_000_000_000
+        self, path: Path, *, chunk_bytes: int = 128 * 1024, chunk_span_ns: int = 1_000_000_000
     ) -> None:
         self._path = path
         self._chunk_bytes = chunk_bytes
@@ -74,7 +77,7 @@ class McapFile:
         self._last_ns = 0
         self._offset = 0
         self._pieces: list[bytes] = []
-        self._index: dict[int, list[NDArray[np.void]]] = {}
+        self._index: dict[int, list[bytes]] = {}
         self._size = 0
         self._chunk_first = _NEVER
         self._chunk_last = 0
@@ -104,50 +107,59 @@ class McapFile:
         return channel.id
 
     def message(self, channel: int, log_time_ns: int, data: bytes) -> None:
-        """Append one message."""
-        self.rows(
-            channel, np.array([log_time_ns]), np.frombuffer(data, np.uint8).reshape(1, len(data))
-        )
-
-    def rows(self, channel: int, log_time_ns: I64, data: NDArray[np.uint8]) -> None:
-        """Append messages (N, length) of one channel with their times (N,).
+        """Append one message.
 
         MCAP times are unsigned: a time before zero is logged as zero.
         """
+        time = max(log_time_ns, 0)
+        self._make_room(time, time)
+        self._counts[channel] += 1
+        sequence = self._counts[channel] & 0xFFFFFFFF
+        head = _ONE_HEAD.pack(
+            Opcode.MESSAGE, len(data) + _HEAD.itemsize - 9, channel, sequence, time, time
+        )
+        self._append(channel, _ONE_INDEX.pack(time, self._size), head + data, time, time)
+
+    def rows(self, channel: int, log_time_ns: I64, data: NDArray[np.uint8]) -> None:
+        """Append messages (N, length) of one channel with their times (N,)."""
         n, length = data.shape
         if n == 0:
             return
+        times = np.maximum(log_time_ns, 0)
+        records = np.empty((n, _HEAD.itemsize + length), np.uint8)
         head = np.empty(n, _HEAD)
         head["op"] = Opcode.MESSAGE
         head["length"] = length + _HEAD.itemsize - 9
         head["channel"] = channel
-        head["sequence"] = (self._counts[channel] + np.arange(1, n + 1)) & 0xFFFFFFFF
-        head["log_time"] = np.maximum(log_time_ns, 0)
-        head["publish_time"] = head["log_time"]
-        self._counts[channel] += n
-        records = np.empty((n, _HEAD.itemsize + length), np.uint8)
+        head["sequence"] = np.arange(self._counts[channel] + 1, self._counts[channel] + n + 1)
+        head["log_time"] = times
+        head["publish_time"] = times
         records[:, : _HEAD.itemsize] = head.view(np.uint8).reshape(n, -1)
         records[:, _HEAD.itemsize :] = data
-        times = head["log_time"].astype(np.int64)
+        self._counts[channel] += n
         step = max(1, self._chunk_bytes // records.shape[1])
         for at in range(0, n, step):
-            self._append(channel, times[at : at + step], records[at : at + step])
+            cut = times[at : at + step]
+            first, last = int(cut.min()), int(cut.max())
+            self._make_room(first, last)
+            index = np.empty(len(cut), _INDEX)
+            index["log_time"] = cut
+            index["offset"] = self._size + records.shape[1] * np.arange(len(cut))
+            piece = records[at : at + step].tobytes()
+            self._append(channel, index.tobytes(), piece, first, last)
 
-    def _append(self, channel: int, times: I64, records: NDArray[np.uint8]) -> None:
+    def _make_room(self, first: int, last: int) -> None:
+        """Close the open chunk where these times would stretch it too far."""
         if self.closed:
             raise LogWriteError(f"{self._path}: the log is closed")
-        first, last = int(times.min()), int(times.max())
-        if (
-            self._size
-            and max(last, self._chunk_last) - min(first, self._chunk_first) > self._chunk_span_ns
-        ):
+        span = max(last, self._chunk_last) - min(first, self._chunk_first)
+        if self._size and span > self._chunk_span_ns:
             self.flush()
-        index = np.empty(len(times), _INDEX)
-        index["log_time"] = times
-        index["offset"] = self._size + records.shape[1] * np.arange(len(times))
+
+    def _append(self, channel: int, index: bytes, records: bytes, first: int, last: int) -> None:
         self._index.setdefault(channel, []).append(index)
-        self._pieces.append(records.tobytes())
-        self._size += records.size
+        self._pieces.append(records)
+        self._size += len(records)
         self._chunk_first = min(self._chunk_first, first)
         self._chunk_last = max(self._chunk_last, last)
         if self._size >= self._chunk_bytes:
@@ -174,7 +186,7 @@ class McapFile:
         at = start + len(chunk)
         for channel, parts in self._index.items():
             offsets[channel] = at
-            entries = b"".join(p.tobytes() for p in parts)
+            entries = b"".join(parts)
             body = struct.pack("<HI", channel, len(entries)) + entries
             indexes.append(struct.pack("<BQ", Opcode.MESSAGE_INDEX, len(body)) + body)
             at += len(indexes[-1])

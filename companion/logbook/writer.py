@@ -1,7 +1,7 @@
 """The log of a run, written while it runs.
 
-What comes in is kept in memory for at most a quarter of a second of arrival time and then written
-in columns, so that a live sensor does not cost a message a sample. The order of arrival across
+What comes in is held for a second of arrival time and then written in columns, so that a live
+sensor does not cost a message a sample. The order of arrival across
 streams is in ``seq``. Nothing is written that a replay of the inputs gives again, apart from the
 published states, the aiding reports and the events, which people look at.
 """
@@ -39,10 +39,10 @@ from companion.types import (
     VehicleRecording,
 )
 
-BATCH_NS = NS // 4
-"""Arrivals are held back for this long before they are written."""
 BATCH_ROWS = 1024
-"""Rows of one message at most; also what makes a full buffer go out early."""
+"""Rows of one message at most."""
+HELD_ROWS = 8 * BATCH_ROWS
+"""Rows held back at most, whatever their age: bounds memory."""
 DRAW_INTERVAL_NS = NS // 10
 """Maps and 3-D views get this rate; the full one is on ``nav/state``."""
 
@@ -70,19 +70,20 @@ class LogWriter:
         config_toml: str,
         metadata: Mapping[str, str],
         settled: bool = False,
-        batch_ns: int = BATCH_NS,
+        hold_s: float = 1.0,
     ) -> None:
         """Open ``path`` for a run with this configuration.
 
         ``settled``: write the settled epochs too, not only their digest (about 70 MB an hour at
-        50 Hz before compression).
+        50 Hz before compression). ``hold_s``: for how long of arrival time data may wait in memory,
+        half of what a power loss can take; a replay, whose input is safe, is faster with more.
         """
         self.path = Path(path)
-        self._file = McapFile(self.path)
+        self._hold_ns = round(hold_s * NS)
+        self._file = McapFile(self.path, chunk_span_ns=self._hold_ns)
         self._config_toml = config_toml
         self._metadata = dict(metadata)
         self._settled = settled
-        self._batch_ns = batch_ns
         self._schema_ids: dict[str, int] = {}
         self._channel_ids: dict[tuple[str, str], int] = {}
         self._headed = False
@@ -211,7 +212,7 @@ class LogWriter:
         self._rows += rows
         if self._window_ns is None:
             self._window_ns = now_ns
-        if self._rows >= BATCH_ROWS or now_ns - self._window_ns >= self._batch_ns:
+        if self._rows >= HELD_ROWS or now_ns - self._window_ns >= self._hold_ns:
             self._write_pending()
 
     def _write_pending(self) -> None:
