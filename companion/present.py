@@ -20,7 +20,7 @@ _PLAIN_INTERVAL_S = 5.0
 
 
 @contextmanager
-def notice_if_slow(console: Console, text: str, after_s: float = 1.0) -> Iterator[None]:
+def notice_if_slow(console: Console, text: str, after_s: float = 2.0) -> Iterator[None]:
     """Print ``text`` once if the block takes longer than ``after_s``."""
     timer = threading.Timer(after_s, lambda: console.print(text, style="yellow"))
     timer.daemon = True

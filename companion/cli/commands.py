@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from replay.configuration import ChosenConfig
     from replay.session import SessionResult
 
-_COMPILING = "Compiling the numerical kernels, once on this machine (up to a minute) …"
+_COMPILING = "Loading the numerical kernels; the first time on a machine they compile, up to a minute …"
 
 
 def replay_logs(
@@ -164,7 +164,7 @@ def _solve(
 def _recording(console: Console, logs: Sequence[Path], vehicle_name: str | None) -> Recording:
     from replay.reader import read_log
 
-    with present.notice_if_slow(console, "Reading …", after_s=2.0):
+    with present.notice_if_slow(console, "Reading …"):
         recording = read_log(logs, vehicle=vehicle_name)
     for note in recording.notes:
         console.print(f"Note      {escape(note)}")
@@ -238,7 +238,7 @@ def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) 
         from replay.simulator.flight import write_flight
     made = load_scenario(scenario)
     duration_s = made.trajectory.duration_s
-    with present.notice_if_slow(console, f"Simulating {duration_s:g} s …", after_s=2.0):
+    with present.notice_if_slow(console, f"Simulating {duration_s:g} s …"):
         write_flight(made, seed, output)
     console.print(f"Simulated {escape(made.name)} with seed {seed}, {duration_s:g} s")
     console.print(f"Replay    companion replay {escape(str(output))}")
