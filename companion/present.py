@@ -90,7 +90,7 @@ def show_run(console: Console, run: Mapping[str, Any]) -> None:
     if run["accuracy"] is not None:
         show_accuracy(console, run["accuracy"])
     else:
-        console.print("Accuracy  no truth and no autopilot estimate in the log to compare with")
+        console.print(f"Accuracy  {escape(run['no_accuracy_because'])}")
     console.print(
         f"Digest    settled {run['digest'][:16]}, published {run['digest_published'][:16]}"
     )

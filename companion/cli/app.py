@@ -61,21 +61,17 @@ def _emit(result: Mapping[str, Any]) -> None:
 
 def _windows(texts: Sequence[str], option: str) -> list[Window]:
     """``START+SECONDS`` texts as windows; wrong ones are wrong usage."""
-    from replay.window import Window
+    from replay.window import parse_window
 
     windows = []
     for text in texts:
-        start, plus, length = text.partition("+")
         try:
-            window = Window(float(start), float(length))
+            windows.append(parse_window(text))
         except ValueError:
-            plus = ""
-        if not plus or not (window.start_s >= 0 and 0 < window.seconds < float("inf")):
             raise typer.BadParameter(
                 f"'{text}': START+SECONDS, both in seconds, such as 120+30",
                 param_hint=f"'{option}'",
-            )
-        windows.append(window)
+            ) from None
     return windows
 
 

@@ -15,21 +15,23 @@ from rich.console import Console
 from rich.markup import escape
 
 from companion import present
+from companion.config import Config
 from companion.types import (
     AidingReports,
     CompanionError,
-    LogFormatError,
     Recording,
     Solution,
     VehicleRecording,
 )
-from replay.window import Window
+from replay.window import Window, read_windows
 
 if TYPE_CHECKING:
     from replay.configuration import ChosenConfig
     from replay.session import SessionResult
 
-_COMPILING = "Loading the numerical kernels; the first time on a machine they compile, up to a minute …"
+_COMPILING = (
+    "Loading the numerical kernels; the first time on a machine they compile, up to a minute …"
+)
 
 
 def replay_logs(
@@ -80,22 +82,23 @@ def evaluate_run(
 ) -> dict[str, Any]:
     """Errors of one vehicle's solution; a log without a solution is replayed first."""
     solved = _solve(console, run, config_path, vehicle_name)
-    from replay import assessment
+    from replay.assessment import assess
+    from replay.sensor_folder import read_reference
 
     vehicle = solved.vehicle
     if truth is not None:
-        vehicle = replace(vehicle, truth=assessment.read_truth(truth))
-    result = assessment.assess(
+        vehicle = replace(vehicle, truth=read_reference(truth), autopilot=None)
+    result = assess(
         vehicle,
+        solved.config,
         solved.solution,
         solved.reports,
+        withheld=solved.withheld,
         window=window,
         digest=solved.digest,
         digest_published=solved.digest_published,
     )
-    if result is None:
-        raise LogFormatError(f"{run}: no truth and no autopilot estimate to compare with; --truth")
-    accuracy = _plain(result)
+    accuracy = result.to_json()
     present.show_accuracy(console, accuracy)
     return accuracy
 
@@ -128,10 +131,12 @@ class _Solved:
     """A vehicle with its solution, from a run log or from replaying just now."""
 
     vehicle: VehicleRecording
+    config: Config
     solution: Solution
     reports: AidingReports
     digest: str | None
     digest_published: str | None
+    withheld: tuple[Window, ...] = ()
 
 
 def _solve(
@@ -139,6 +144,7 @@ def _solve(
 ) -> _Solved:
     """The solution that a run log holds, else that of a replay; no log is written."""
     if run.suffix == ".mcap" and config_path is None:
+        from replay.configuration import choose_config
         from replay.run_log import read_solution
 
         stored = read_solution(run, vehicle_name)
@@ -146,7 +152,13 @@ def _solve(
             recording = _recording(console, [run], vehicle_name)
             vehicle = next(v for v in recording.vehicles if v.name == stored.vehicle)
             return _Solved(
-                vehicle, stored.solution, stored.reports, stored.digest, stored.digest_published
+                vehicle,
+                choose_config(recording).config,
+                stored.solution,
+                stored.reports,
+                stored.digest,
+                stored.digest_published,
+                read_windows(stored.metadata.get("outages", "")),
             )
     with present.notice_if_slow(console, _COMPILING):
         from replay import session
@@ -157,7 +169,12 @@ def _solve(
     with present.progress(console, f"Vehicle {fit[0].name}") as update:
         result = session.run_session(fit[0], chosen, progress=update)
     return _Solved(
-        result.vehicle, result.solution, result.reports, result.digest, result.digest_published
+        result.vehicle,
+        chosen.config,
+        result.solution,
+        result.reports,
+        result.digest,
+        result.digest_published,
     )
 
 
@@ -199,17 +216,23 @@ def _out_path(out: Path | None, logs: Sequence[Path]) -> Path:
 def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any]:
     """One vehicle's entry of ``replay --json``."""
     from replay.assessment import assess
+    from replay.evaluation import EvaluationError
     from replay.summary import summarise
 
     summary = summarise(result.vehicle, result.solution, result.reports, result.events)
-    accuracy = assess(
-        result.vehicle,
-        result.solution,
-        result.reports,
-        outages=outages,
-        digest=result.digest,
-        digest_published=result.digest_published,
-    )
+    accuracy, why_none = None, None
+    try:
+        accuracy = assess(
+            result.vehicle,
+            result.chosen.config,
+            result.solution,
+            result.reports,
+            withheld=outages,
+            digest=result.digest,
+            digest_published=result.digest_published,
+        ).to_json()
+    except EvaluationError as error:
+        why_none = str(error)
     wall_s = max(result.wall_s, 1e-9)
     return _plain(
         {
@@ -217,6 +240,7 @@ def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any
             "config": result.chosen.origin,
             "withheld": [{"start_s": w.start_s, "seconds": w.seconds} for w in outages],
             "accuracy": accuracy,
+            "no_accuracy_because": why_none,
             "digest": result.digest,
             "digest_published": result.digest_published,
             "cpu_s": result.cpu_s,

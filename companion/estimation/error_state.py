@@ -68,6 +68,17 @@ class Filter:
         self.snaps_k[times >= before] = np.iinfo(np.int64).min
 
 
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A decision on the grid and, in the bank, what it published from then on."""
+
+    t_ns: int
+    best: int = 0
+    """Likeliest hypothesis."""
+    heading_sd: float = 0.0
+    """Standard deviation of the heading over all hypotheses [rad]."""
+
+
 @dataclass(slots=True)
 class Phase:
     """A stretch of time in one mode; ``filters`` is empty while aligning, several in the bank."""
@@ -78,8 +89,8 @@ class Phase:
     prior: Filter | None = None
     """The filter before a declared reset: its biases are still the best known."""
     resets: int = 0
-    best: list[tuple[int, int]] = field(default_factory=list)
-    """Bank only: (time, index of the likeliest hypothesis) from that time on."""
+    checks: list[Check] = field(default_factory=list)
+    """Decisions taken so far, newest last; the first is the start of the phase."""
     reached: int = 0
     """Aligning only: time of the last sample taken."""
 
@@ -124,9 +135,9 @@ class ErrorStateFilter:
         phase = self.phases[-1]
         for f in phase.filters:
             f.restore(t)
-        phase.best = [b for b in phase.best if b[0] < t] or phase.best[:1]
         phase.reached = min(phase.reached, t - 1)
         imu_time = self.now[0]
+        phase.checks = [c for c in phase.checks if c.t_ns <= imu_time] or phase.checks[:1]
         keep = int(np.searchsorted(self.rows.t[self.rows.start : self.rows.end], imu_time, "right"))
         self.rows.end = self.rows.start + keep
         self.events = [e for e in self.events if e.t_ns <= imu_time]
@@ -178,8 +189,8 @@ class ErrorStateFilter:
         if ip[par.CONSTRAINT_NS]:
             n_reports += span // int(ip[par.CONSTRAINT_NS]) + 2
         bank = phase.mode is Mode.HEADING_UNKNOWN
-        best = phase.best[-1][1] if bank else 0
-        code = w.DONE
+        best = phase.checks[-1].best
+        code, new_rows = w.DONE, 0
         for index, f in enumerate(phase.filters):
             rows = self.rows if index == best else SampleBuffer(w.ROW_SIZE, capacity=n_rows)
             reports = (
@@ -193,10 +204,11 @@ class ErrorStateFilter:
                 imu.t, imu.rows, aids.t, aids.key, aids.rows,
                 rows.t, rows.rows, reports.t, reports.rows, f.snaps, f.snaps_k, at,
             )  # fmt: skip
+            new_rows = int(at[4]) - rows.end if index == best else new_rows
             rows.end, reports.end = int(at[4]), int(at[5])
             code = max(code, int(c))
         if bank:
-            self._widen_heading(phase)
+            self._widen_heading(phase, self.rows.end - new_rows)
         return code
 
     # ------------------------------------------------------------------ phases
@@ -271,7 +283,7 @@ class ErrorStateFilter:
         ]
         mode = Mode.HEADING_UNKNOWN if how == "unknown" else Mode.NAVIGATING
         new = Phase(t, mode, filters, resets=phase.resets)
-        new.best = [(t, 0)]
+        new.checks = [Check(t, 0, math.pi)]
         self.phases.append(new)
         state = "at rest" if lev.static else "in motion"
         heading = (
@@ -386,11 +398,11 @@ class ErrorStateFilter:
 
     def _decide(self, phase: Phase, t: int, aids: SampleBuffer) -> bool:
         """Heading found, relock, divergence; True when the phase changed."""
-        if phase.best and phase.best[-1][0] == t:
+        if phase.checks[-1].t_ns == t:
             return False
         if phase.mode is Mode.HEADING_UNKNOWN:
             return self._heading_found(phase, t)
-        phase.best = [(t, 0)]
+        phase.checks = [*phase.checks[-8:], Check(t)]
         f = phase.filters[0]
         n = self.layout.n
         P = f.s[lo.P :].reshape(n, n)
@@ -402,8 +414,8 @@ class ErrorStateFilter:
             return self._relock(phase, f, t, aids)
         return False
 
-    def _mixture(self, phase: Phase) -> tuple[int, float, float]:
-        """Likeliest hypothesis, its probability, and the heading's standard deviation [rad]."""
+    def _mixture(self, phase: Phase) -> tuple[int, float]:
+        """Likeliest hypothesis and the heading's standard deviation over all of them [rad]."""
         n = self.layout.n
         ll = np.array([f.s[lo.LOG_LIKELIHOOD] for f in phase.filters])
         weight = np.exp(ll - ll.max())
@@ -414,23 +426,17 @@ class ErrorStateFilter:
         off = np.remainder(yaw - yaw[best] + math.pi, 2 * math.pi) - math.pi
         mean = float(weight @ off)
         spread = float(weight @ (np.minimum(var, math.pi**2) + (off - mean) ** 2))
-        return best, float(weight[best]), math.sqrt(spread)
+        return best, math.sqrt(spread)
 
-    def _widen_heading(self, phase: Phase) -> None:
+    def _widen_heading(self, phase: Phase, first_row: int) -> None:
         """Publish the bank's heading uncertainty rather than one hypothesis' own."""
-        if len(self.rows) == 0:
-            return
-        _, _, sd = self._mixture(phase)
         column = w.O_COV + 2 * 6 + 5
-        row = self.rows.end - 1
-        while row >= self.rows.start and self.rows.t[row] > phase.best[-1][0]:
-            self.rows.rows[row, column] = max(self.rows.rows[row, column], sd * sd)
-            row -= 1
+        var = self.rows.rows[first_row : self.rows.end, column]
+        np.maximum(var, phase.checks[-1].heading_sd ** 2, out=var)
 
     def _heading_found(self, phase: Phase, t: int) -> bool:
-        best, weight, sd = self._mixture(phase)
-        phase.best.append((t, best))
-        phase.best = phase.best[-64:]
+        best, sd = self._mixture(phase)
+        phase.checks = [*phase.checks[-8:], Check(t, best, sd)]
         if sd > self.config.alignment.heading_found_sd_deg * DEG:
             return False
         n = self.layout.n
@@ -440,7 +446,7 @@ class ErrorStateFilter:
         P[8, 8] = max(P[8, 8], sd * sd)
         s[lo.LOG_LIKELIHOOD] = 0.0
         new = Phase(t + 1, Mode.NAVIGATING, [Filter.start(s, k, self._slots)], resets=phase.resets)
-        new.best = [(t, 0)]
+        new.checks = [Check(t)]
         self.phases.append(new)
         yaw = math.degrees(rpy_from_quat(s[:4])[2]) % 360
         self._say(
@@ -486,7 +492,7 @@ class ErrorStateFilter:
             P[m, m] = 4.0 * last[6 + m] + (1.0 + float(velocity @ velocity)) * ahead**2
         k[lo.T_REJECT], k[lo.RESETS] = 0, k[lo.RESETS] + 1
         new = Phase(t + 1, Mode.NAVIGATING, [Filter.start(s, k, self._slots)])
-        new.best = [(t, 0)]
+        new.checks = [Check(t)]
         self.phases.append(new)
         self._say(
             t,

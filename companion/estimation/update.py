@@ -27,6 +27,7 @@ R_INNOVATION, R_SD = 3, 6
 R_NIS, R_GATE, R_SCALE_USED, R_VERDICT = 9, 10, 11, 12
 REPORT_SIZE = 13
 
+ZERO_VELOCITY, ZERO_RATE = 7, 8  # as types.Channel
 ACCEPTED, REJECTED_GATE, REFUSED_INVALID = 0.0, 1.0, 4.0
 WINSOR = 25.0
 """Cap on NIS in the likelihood of a heading hypothesis: one outlier must not decide."""
@@ -135,7 +136,8 @@ def fuse(
     if not nis >= 0.0:
         report[R_VERDICT] = REFUSED_INVALID
         return False
-    if ipar[BANK] == 1:
+    if ipar[BANK] == 1 and channel != ZERO_VELOCITY and channel != ZERO_RATE:
+        # Hypotheses compete on how well they foresee the aids; a standstill favours none of them.
         log_det = 0.0
         for i in range(m):
             log_det += 2.0 * math.log(L[i, i])

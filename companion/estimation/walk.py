@@ -127,15 +127,16 @@ def fuse_gnss(
     R = np.empty(3)
     n = lay[L_N]
     if z[A_VELOCITY] == z[A_VELOCITY] and z[A_VELOCITY + 1] == z[A_VELOCITY + 1]:
-        s[GNSS_SPEED] = math.hypot(z[A_VELOCITY], z[A_VELOCITY + 1])
+        down = z[A_VELOCITY + 2] if z[A_VELOCITY + 2] == z[A_VELOCITY + 2] else 0.0
+        s[GNSS_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2 + down * down)
         s[GNSS_SPEED_SD] = math.sqrt(z[A_VAR_VELOCITY])
         k[T_GNSS_SPEED] = t
     for half in range(4):
-        down = half % 2 == 1
+        vertical = half % 2 == 1
         o = A_VELOCITY if half >= 2 else A_VALUE
         v = A_VAR_VELOCITY if half >= 2 else A_VAR
-        m = 1 if down else 2
-        if down:
+        m = 1 if vertical else 2
+        if vertical:
             if not z[o + 2] == z[o + 2]:
                 continue
             R[0] = z[v + 2]
@@ -148,7 +149,7 @@ def fuse_gnss(
             velocity(s, lay, C, z[A_VELOCITY : A_VELOCITY + 3], H, y)
         else:
             position(s, lay, C, z[A_VALUE : A_VALUE + 3], H, y)
-        if down:
+        if vertical:
             y[0] = y[2]
             for j in range(n):
                 H[0, j] = H[2, j]
