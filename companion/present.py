@@ -181,7 +181,9 @@ def _show_gates(console: Console, gates: Mapping[str, Mapping[str, Any]]) -> Non
 def _show_events(console: Console, events: Sequence[Mapping[str, Any]], most: int = 12) -> None:
     colour = {"info": "default", "warning": "yellow", "error": "red"}
     for event in events[:most]:
-        at = f"{event['time_s']:8.1f} s" if event["time_s"] is not None else " " * 10
+        at = (
+            f"{round(event['time_s'], 1) + 0.0:8.1f} s" if event["time_s"] is not None else " " * 10
+        )
         console.print(
             f"[{colour[event['level']]}]{at}  {event['kind']}: {escape(event['text'])}",
             highlight=False,

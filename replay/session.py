@@ -203,7 +203,7 @@ def run_log(
         "source": recording.path,
         "source_format": recording.format,
         "config_origin": chosen.origin,
-        "outages": " ".join(f"{w.start_s:g}+{w.seconds:g}" for w in outages),
+        "outages": " ".join(map(str, outages)),
     }
     with LogWriter(path, config_toml=chosen.toml, metadata=metadata) as writer:
         yield writer

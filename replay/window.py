@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass
 
 
@@ -11,3 +13,25 @@ class Window:
 
     start_s: float
     seconds: float
+
+    def __str__(self) -> str:
+        """As the command line takes it and a run log keeps it."""
+        return f"{self.start_s!r}+{self.seconds!r}"
+
+
+def parse_window(text: str) -> Window:
+    """A window from ``START+SECONDS``; :class:`ValueError` for anything else."""
+    start, plus, length = text.partition("+")
+    window = Window(float(start), float(length))
+    if not plus or not (0 <= window.start_s < math.inf and 0 < window.seconds < math.inf):
+        raise ValueError(text)
+    return window
+
+
+def read_windows(text: str) -> tuple[Window, ...]:
+    """The windows that a run log names, separated by spaces; unreadable ones are left out."""
+    windows = []
+    for part in text.split():
+        with suppress(ValueError):
+            windows.append(parse_window(part))
+    return tuple(windows)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from replay.configuration import ChosenConfig
     from replay.session import SessionResult
 
-_COMPILING = (
+_COMPILING = "Loading the numerical kernels; the first time on a machine they are compiled (a minute) …"
     "Loading the numerical kernels; the first time on a machine they compile, up to a minute …"
 )
 
