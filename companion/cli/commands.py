@@ -29,9 +29,7 @@ if TYPE_CHECKING:
     from replay.configuration import ChosenConfig
     from replay.session import SessionResult
 
-_COMPILING = "Loading the numerical kernels; the first time on a machine they are compiled (a minute) …"
-    "Loading the numerical kernels; the first time on a machine they compile, up to a minute …"
-)
+_COMPILING = "Loading the numerical kernels; the first time on a machine compiles them (a minute) …"
 
 
 def replay_logs(
