@@ -8,7 +8,7 @@ from typing import Literal
 from companion.config import Config
 from companion.types import NS, AidingReports, ReferenceSamples, Solution, VehicleRecording
 from replay.evaluation import Evaluation, EvaluationError, Outage, evaluate, find_outages
-from replay.session import start_ns
+from replay.preparation import start_ns
 from replay.window import Window
 
 Reference = tuple[Literal["truth", "autopilot"], ReferenceSamples]
@@ -56,7 +56,7 @@ def assess(
 ) -> Evaluation:
     """Errors against truth, else against the autopilot's estimate.
 
-    Times count from :func:`~replay.session.start_ns`. Raises
+    Times count from :func:`~replay.preparation.start_ns`. Raises
     :class:`~replay.evaluation.EvaluationError` where nothing can be compared, with the reason
     that the better reference gave.
     """

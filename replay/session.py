@@ -8,11 +8,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from companion import __version__
 from companion.logbook import LogWriter
@@ -20,9 +18,7 @@ from companion.types import (
     NS,
     AidingReports,
     AnySamples,
-    CompanionError,
     Event,
-    LogFormatError,
     Outputs,
     Recording,
     Solution,
@@ -30,7 +26,7 @@ from companion.types import (
 )
 from replay.configuration import ChosenConfig
 from replay.player import play
-from replay.reader import require_imu_rate
+from replay.preparation import start_ns, withhold_gnss
 from replay.window import Window
 
 Progress = Callable[[float], None]
@@ -53,63 +49,6 @@ class SessionResult:
     cpu_s: float
     """CPU time of engine and log writing together [s]."""
     wall_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Refused:
-    """A vehicle that cannot be navigated, and why."""
-
-    name: str
-    reason: str
-
-
-def start_ns(vehicle: VehicleRecording) -> int:
-    """The time that windows count from: the first inertial sample or fix of the vehicle."""
-    first = [int(s.t_ns[0]) for s in (*vehicle.imu[:1], *vehicle.gnss[:1]) if len(s)]
-    if not first:
-        raise LogFormatError(f"vehicle '{vehicle.name}' has neither inertial samples nor fixes")
-    return min(first)
-
-
-def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> VehicleRecording:
-    """The recording without the fixes valid inside any of ``windows``; start included, end not."""
-    if not windows:
-        return vehicle
-    origin = start_ns(vehicle)
-    receivers = []
-    for samples in vehicle.gnss:
-        keep = np.ones(len(samples), np.bool_)
-        for window in windows:
-            begin = origin + round(window.start_s * NS)
-            keep &= (samples.t_ns < begin) | (samples.t_ns >= begin + round(window.seconds * NS))
-        receivers.append(samples.take(keep))
-    return replace(vehicle, gnss=tuple(receivers))
-
-
-def navigable(
-    recording: Recording, name: str | None = None
-) -> tuple[list[VehicleRecording], list[Refused]]:
-    """The vehicles that the strapdown filter can be run on, and the others with the reason.
-
-    Raises the one reason where nothing is left, and :class:`LogFormatError` for an unknown name.
-    """
-    known = [v.name for v in recording.vehicles]
-    if name is not None and name not in known:
-        raise LogFormatError(f"{recording.path}: no vehicle '{name}'; it has {', '.join(known)}")
-    fit: list[VehicleRecording] = []
-    refused: list[Refused] = []
-    errors: list[CompanionError] = []
-    for vehicle in recording.vehicles:
-        if name in (None, vehicle.name):
-            try:
-                require_imu_rate(vehicle)
-                fit.append(vehicle)
-            except CompanionError as error:
-                refused.append(Refused(vehicle.name, str(error)))
-                errors.append(error)
-    if not fit:
-        raise errors[0] if errors else LogFormatError(f"{recording.path}: no vehicle in it")
-    return fit, refused
 
 
 class _Collector:

@@ -42,13 +42,15 @@ def replay_logs(
     vehicle_name: str | None,
 ) -> dict[str, Any]:
     """Replay, log, evaluate and describe every vehicle of a run."""
+    from replay.preparation import navigable
+
+    recording, chosen = _read(console, logs, config_path, vehicle_name)
+    fit, refused = navigable(recording, vehicle_name)
+    path = _out_path(out, logs)
     with present.notice_if_slow(console, _COMPILING):
         from replay import session
-    recording, chosen = _read(console, logs, config_path, vehicle_name)
-    fit, refused = session.navigable(recording, vehicle_name)
     for one in refused:
         console.print(f"[yellow]Vehicle {escape(one.name)} left out: {escape(one.reason)}")
-    path = _out_path(out, logs)
     runs = []
     with session.run_log(path, recording, chosen, outages) as writer:
         for vehicle in fit:
@@ -158,10 +160,12 @@ def _solve(
                 stored.digest_published,
                 read_windows(stored.metadata.get("outages", "")),
             )
+    from replay.preparation import navigable
+
+    recording, chosen = _read(console, [run], config_path, vehicle_name)
+    fit, _ = navigable(recording, vehicle_name)
     with present.notice_if_slow(console, _COMPILING):
         from replay import session
-    recording, chosen = _read(console, [run], config_path, vehicle_name)
-    fit, _ = session.navigable(recording, vehicle_name)
     if len(fit) > 1:
         console.print(f"Vehicle {escape(fit[0].name)}, the first of several; --vehicle NAME")
     with present.progress(console, f"Vehicle {fit[0].name}") as update:

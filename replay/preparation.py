@@ -1,0 +1,69 @@
+"""What is settled about a recording before the engine sees it; nothing here loads its kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from companion.types import NS, CompanionError, LogFormatError, Recording, VehicleRecording
+from replay.reader import require_imu_rate
+from replay.window import Window
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A vehicle that cannot be navigated, and why."""
+
+    name: str
+    reason: str
+
+
+def start_ns(vehicle: VehicleRecording) -> int:
+    """The time that windows count from: the first inertial sample or fix of the vehicle."""
+    first = [int(s.t_ns[0]) for s in (*vehicle.imu[:1], *vehicle.gnss[:1]) if len(s)]
+    if not first:
+        raise LogFormatError(f"vehicle '{vehicle.name}' has neither inertial samples nor fixes")
+    return min(first)
+
+
+def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> VehicleRecording:
+    """The recording without the fixes valid inside any of ``windows``; start included, end not."""
+    if not windows:
+        return vehicle
+    origin = start_ns(vehicle)
+    receivers = []
+    for samples in vehicle.gnss:
+        keep = np.ones(len(samples), np.bool_)
+        for window in windows:
+            begin = origin + round(window.start_s * NS)
+            keep &= (samples.t_ns < begin) | (samples.t_ns >= begin + round(window.seconds * NS))
+        receivers.append(samples.take(keep))
+    return replace(vehicle, gnss=tuple(receivers))
+
+
+def navigable(
+    recording: Recording, name: str | None = None
+) -> tuple[list[VehicleRecording], list[Refused]]:
+    """The vehicles that the strapdown filter can be run on, and the others with the reason.
+
+    Raises the one reason where nothing is left, and :class:`LogFormatError` for an unknown name.
+    """
+    known = [v.name for v in recording.vehicles]
+    if name is not None and name not in known:
+        raise LogFormatError(f"{recording.path}: no vehicle '{name}'; it has {', '.join(known)}")
+    fit: list[VehicleRecording] = []
+    refused: list[Refused] = []
+    errors: list[CompanionError] = []
+    for vehicle in recording.vehicles:
+        if name in (None, vehicle.name):
+            try:
+                require_imu_rate(vehicle)
+                fit.append(vehicle)
+            except CompanionError as error:
+                refused.append(Refused(vehicle.name, str(error)))
+                errors.append(error)
+    if not fit:
+        raise errors[0] if errors else LogFormatError(f"{recording.path}: no vehicle in it")
+    return fit, refused
