@@ -204,8 +204,8 @@ def check(scenario: Scenario) -> None:
         raise ConfigError(f"key 'trajectory.kind': one of {', '.join(PLANS)}")
     if not 1.0 <= trajectory.duration_s <= 86400.0:
         raise ConfigError("key 'trajectory.duration_s': seconds between 1 and 86400")
-    if not 0.0 <= trajectory.rest_s <= trajectory.duration_s:
-        raise ConfigError("key 'trajectory.rest_s': seconds between 0 and the duration")
+    if not 0.0 <= trajectory.rest_s <= 86400.0:
+        raise ConfigError("key 'trajectory.rest_s': seconds between 0 and 86400")
     if not -85.0 <= trajectory.lat_deg <= 85.0:
         raise ConfigError("key 'trajectory.lat_deg': between −85 and 85, away from the poles")
     if not scenario.imu:

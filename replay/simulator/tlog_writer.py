@@ -40,12 +40,16 @@ _MAV_TYPES = {
     "ground": mavlink.MAV_TYPE_GROUND_ROVER,
 }
 
-Messages = list[Any]
-"""pymavlink messages, one per sample of a stream."""
+_ROWS = 50_000
+"""Samples turned into Python numbers together: bounds memory for long recordings."""
+
+Messages = Iterator[Any]
+"""pymavlink messages, one per sample of a stream, in its order, made when asked for."""
 
 
 def _rows(*columns: F64 | I64) -> Iterator[tuple[Any, ...]]:
-    return zip(*(c.tolist() for c in columns), strict=True)
+    for lo in range(0, len(columns[0]), _ROWS):
+        yield from zip(*(c[lo : lo + _ROWS].tolist() for c in columns), strict=True)
 
 
 def _mag_at(imu: ImuSamples, mag: MagSamples | None) -> tuple[F64, I64]:
@@ -61,31 +65,31 @@ def _mag_at(imu: ImuSamples, mag: MagSamples | None) -> tuple[F64, I64]:
 def _imu_messages(mav: Any, imu: ImuSamples, mag: MagSamples | None, boot_ns: int) -> Messages:
     field, updated = _mag_at(imu, mag)
     usec = (imu.t_ns - boot_ns) // 1000
-    return [
-        mav.highres_imu_encode(t, *a, *g, *m, 0.0, 0.0, 0.0, 0.0, flags)
-        for t, a, g, m, flags in _rows(usec, imu.accel_b, imu.gyro_b, field, updated)
-    ]
+    for t, a, g, m, flags in _rows(usec, imu.accel_b, imu.gyro_b, field, updated):
+        yield mav.highres_imu_encode(t, *a, *g, *m, 0.0, 0.0, 0.0, 0.0, flags)
 
 
 def _truth_messages(mav: Any, truth: ReferenceSamples) -> Messages:
     sr, sp, sy = np.sin(truth.rpy / 2).T
     cr, cp, cy = np.cos(truth.rpy / 2).T
-    q = [
+    q_nb = [
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     ]
     imu = [0.0] * 6
-    lat, lon = np.degrees(truth.lat), np.degrees(truth.lon)
-    exact = [np.rint(angle * 1e7).astype(np.int64) for angle in (lat, lon)]
-    alt = truth.height - UNDULATION_M
-    q_nb = np.stack(q, axis=-1)
-    rows = _rows(q_nb, truth.rpy, lat, lon, alt, truth.vel_n, *exact)
-    return [
-        mav.sim_state_encode(*q, *rpy, *imu, lat, lon, alt, 0.0, 0.0, *vel, lat_e7, lon_e7)
-        for q, rpy, lat, lon, alt, vel, lat_e7, lon_e7 in rows
-    ]
+    degrees = [np.degrees(truth.lat), np.degrees(truth.lon)]
+    rows = _rows(
+        np.stack(q_nb, axis=-1),
+        truth.rpy,
+        *degrees,
+        truth.height - UNDULATION_M,
+        truth.vel_n,
+        *(np.rint(angle * 1e7).astype(np.int64) for angle in degrees),
+    )
+    for q, rpy, lat, lon, alt, vel, lat_e7, lon_e7 in rows:
+        yield mav.sim_state_encode(*q, *rpy, *imu, lat, lon, alt, 0.0, 0.0, *vel, lat_e7, lon_e7)
 
 
 def _gnss_messages(mav: Any, gnss: GnssSamples, boot_ns: int) -> Messages:
@@ -93,7 +97,8 @@ def _gnss_messages(mav: Any, gnss: GnssSamples, boot_ns: int) -> Messages:
     fixed = np.isfinite(gnss.lat) & np.isfinite(gnss.height)
 
     def scaled(values: F64, factor: float, missing: int) -> I64:
-        return np.where(fixed, np.rint(np.nan_to_num(values) * factor), missing).astype(np.int64)
+        known = fixed & np.isfinite(values)
+        return np.where(known, np.rint(np.nan_to_num(values) * factor), missing).astype(np.int64)
 
     speed = np.hypot(gnss.vel_n[:, 0], gnss.vel_n[:, 1])
     course = np.remainder(np.degrees(np.arctan2(gnss.vel_n[:, 1], gnss.vel_n[:, 0])), 360.0)
@@ -104,34 +109,30 @@ def _gnss_messages(mav: Any, gnss: GnssSamples, boot_ns: int) -> Messages:
         scaled(np.degrees(gnss.lon), 1e7, 0),
         scaled(gnss.height - UNDULATION_M, 1e3, 0),
         scaled(speed, 100.0, 0xFFFF),
-        np.where(fixed, scaled(course, 100.0, 0) % 36000, 0xFFFF),
+        np.where(fixed & np.isfinite(course), scaled(course, 100.0, 0) % 36000, 0xFFFF),
         np.where(gnss.num_sats < 0, 255, gnss.num_sats),
         scaled(gnss.height, 1e3, 0),
         scaled(np.maximum(gnss.sd_pos[:, 0], gnss.sd_pos[:, 1]), 1e3, 0),
         scaled(gnss.sd_pos[:, 2], 1e3, 0),
         scaled(np.maximum(gnss.sd_vel[:, 0], gnss.sd_vel[:, 1]), 1e3, 0),
     )
-    return [
-        mav.gps_raw_int_encode(
-            t, kind, lat, lon, alt, 0xFFFF, 0xFFFF, speed, course, sats, hae, h_acc, v_acc, vel_acc
+    for *fix, speed_cms, course_cdeg, sats, hae_mm, h_acc, v_acc, vel_acc in columns:
+        yield mav.gps_raw_int_encode(
+            *fix, 0xFFFF, 0xFFFF, speed_cms, course_cdeg, sats, hae_mm, h_acc, v_acc, vel_acc
         )
-        for t, kind, lat, lon, alt, speed, course, sats, hae, h_acc, v_acc, vel_acc in columns
-    ]
 
 
 def _baro_messages(mav: Any, baro: BaroSamples, boot_ns: int) -> Messages:
-    rows = _rows((baro.t_ns - boot_ns) // 1_000_000, baro.pressure / 100.0)
-    return [mav.scaled_pressure_encode(t, hpa, 0.0, 2500) for t, hpa in rows]
+    for t, hpa in _rows((baro.t_ns - boot_ns) // 1_000_000, baro.pressure / 100.0):
+        yield mav.scaled_pressure_encode(t, hpa, 0.0, 2500)
 
 
 def _slow_messages(mav: Any, wall_ns: I64, boot_ns: int, mav_type: int) -> Messages:
     """A HEARTBEAT and a SYSTEM_TIME for each of the times ``wall_ns`` (N,), interleaved."""
     autopilot, active = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_STATE_ACTIVE
-    messages: Messages = []
     for wall in wall_ns.tolist():
-        messages.append(mav.heartbeat_encode(mav_type, autopilot, 0, 0, active))
-        messages.append(mav.system_time_encode(wall // 1000, (wall - boot_ns) // 1_000_000))
-    return messages
+        yield mav.heartbeat_encode(mav_type, autopilot, 0, 0, active)
+        yield mav.system_time_encode(wall // 1000, (wall - boot_ns) // 1_000_000)
 
 
 def write_tlog(recording: VehicleRecording, path: Path, vehicle_kind: str = "unknown") -> None:
@@ -162,19 +163,20 @@ def write_tlog(recording: VehicleRecording, path: Path, vehicle_kind: str = "unk
     slow = _slow_messages(mav, wall_ns, boot_ns, _MAV_TYPES.get(vehicle_kind, 0))
     streams.append((np.repeat(wall_ns, 2), np.full(2 * len(wall_ns), -1), slow))
     try:
-        path.write_bytes(_framed(mav, streams))
+        with path.open("wb") as file:
+            file.writelines(_framed(mav, streams))
     except OSError as error:
         raise CompanionError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _framed(mav: Any, streams: list[tuple[I64, I64, Messages]]) -> bytes:
+def _framed(mav: Any, streams: list[tuple[I64, I64, Messages]]) -> Iterator[bytes]:
     """All messages in order of arrival, then of arrival number, stamped and packed."""
     rx = np.concatenate([s[0] for s in streams])
     seq = np.concatenate([s[1] for s in streams])
-    messages = [message for s in streams for message in s[2]]
-    out = bytearray()
-    for i in np.lexsort((seq, rx)).tolist():
-        out += struct.pack(">Q", int(rx[i]) // 1000)
-        out += messages[i].pack(mav)
+    stream = np.repeat(np.arange(len(streams)), [len(s[0]) for s in streams])
+    order = np.lexsort((seq, rx))
+    # Within a stream both keys increase, so each of its messages is made when its turn comes.
+    for arrived_ns, source in _rows(rx[order], stream[order]):
+        yield struct.pack(">Q", arrived_ns // 1000)
+        yield next(streams[source][2]).pack(mav)
         mav.seq = (mav.seq + 1) % 256
-    return bytes(out)
