@@ -128,6 +128,11 @@ class _Run:
             run_pb2.VehicleInfo(name=vehicle, height_datum="hae")
         )
 
+    def vehicles(self) -> list[str]:
+        """Names in order of appearance, also of vehicles that left no message of interest."""
+        topics = self.condition.topics.values()
+        return list(dict.fromkeys(t.metadata["vehicle"] for t in topics if "vehicle" in t.metadata))
+
     def all_notes(self) -> tuple[str, ...]:
         return (*self.condition.notes(), *self.notes)
 
@@ -147,7 +152,7 @@ def read_run(path: Path) -> Recording:
     :class:`LogFormatError` when the file is not a run log.
     """
     run = _Run(Path(path), _BATCHES)
-    vehicles = tuple(_vehicle(run, name) for name in run.messages)
+    vehicles = tuple(_vehicle(run, name) for name in run.vehicles())
     return Recording(
         path=str(path),
         format="mcap",
@@ -232,7 +237,7 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
     Raises :class:`LogFormatError` when the file is not a run log, or has no such vehicle.
     """
     run = _Run(Path(path), _OUTPUT_TOPICS)
-    names = list(run.messages)
+    names = run.vehicles()
     if not names or (vehicle is not None and vehicle not in names):
         has = f"it has {', '.join(names)}" if names else "it has none"
         raise LogFormatError(f"{path}: no vehicle {vehicle or ''} in this run; {has}")
