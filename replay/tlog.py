@@ -237,7 +237,7 @@ def _attitude(stream: _Stream, t_ns: I64) -> F64:
     """(N, 3) roll, pitch, yaw [rad] of ATTITUDE at ``t_ns``; NaN where it has gaps."""
     table, rows = stream.message("ATTITUDE")
     at = stream.clock.at(rows, stream.boot_us(table, rows))
-    keep = np.isfinite(triple(table, ("roll", "pitch", "yaw"))).all(axis=1)
+    keep = np.isfinite(triple(table, ("roll", "pitch", "yaw")).sum(axis=1))
     keep[1:] &= at[1:] > np.maximum.accumulate(at)[:-1]
     columns = [
         unwrapped_interpolation(t_ns, at[keep], column(table, n)[keep], _MAX_ATTITUDE_GAP_NS)

@@ -58,7 +58,7 @@ def _x25(buf: U8, start: Int, end: Int, seed: Int) -> Int:
     "i8(Array(u1, 1, 'C', readonly=True), i8, Array(i2, 2, 'C', readonly=True), i8[::1])",
     cache=True,
 )
-def _parse(buf: U8, at: int, table: NDArray[np.int16], row: NDArray[np.int64]) -> Int:
+def _parse(buf: U8, at: Int, table: NDArray[np.int16], row: NDArray[np.int64]) -> Int:
     """Try a frame at ``at``; fill ``row``. Its end; 0 no frame; −1 cut short; −2 bad CRC."""
     size = buf.shape[0]
     if at >= size:
@@ -110,7 +110,7 @@ def _parse(buf: U8, at: int, table: NDArray[np.int16], row: NDArray[np.int64]) -
 
 
 @njit("b1(Array(u1, 1, 'C', readonly=True), i8, b1)", cache=True)
-def _in_step(buf: U8, at: int, final: bool) -> bool:
+def _in_step(buf: U8, at: Int, final: bool) -> bool:
     """Whether the next frame starts at ``at``, or the data end there."""
     if at >= buf.shape[0]:
         return final
@@ -124,21 +124,21 @@ def _in_step(buf: U8, at: int, final: bool) -> bool:
 )
 def _scan(
     buf: U8,
-    start: int,
+    start: Int,
     final: bool,
     stamp: int,
     table: NDArray[np.int16],
     out: NDArray[np.int64],
     counts: NDArray[np.int64],
-) -> tuple[int, int]:
+) -> tuple[Int, int]:
     """Fill ``out`` from ``start`` on: (bytes settled, frames found).
 
     Stops when ``out`` is full, at the end of the data, or, unless ``final``, where a frame may
     be waiting for its rest.
     """
     size = buf.shape[0]
-    pos = start  # everything before is settled: frames or counted garbage
-    at = start + stamp
+    pos: Int = start  # everything before is settled: frames or counted garbage
+    at: Int = start + stamp
     found = 0
     expected = True  # at the place where the last frame says that the next one is
     while found < out.shape[0] and pos < size:
@@ -218,13 +218,14 @@ _TYPES = (
 )
 
 
-def _index(buf: U8, *, final: bool, stamped: bool) -> tuple[FrameIndex, int]:
+def _index(buf: U8, *, final: bool, stamped: bool) -> tuple[FrameIndex, Int]:
     """Frames of ``buf`` and how many of its bytes are settled."""
     counts = np.zeros(2, np.int64)
     stamp = STAMP_BYTES if stamped else 0
     batches: list[list[NDArray[np.generic]]] = []
     out = np.empty((min(_BATCH, buf.shape[0] // 8 + 1), _COLUMNS), np.int64)
-    pos, found = 0, out.shape[0]
+    pos: Int = 0
+    found: Int = out.shape[0]
     while found == out.shape[0]:
         pos, found = _scan(buf, pos, final, stamp, crc_table(), out, counts)
         # Narrow columns batch by batch: the wide table never grows with the file.
