@@ -283,8 +283,8 @@ def test_damaged_logs_never_raise_anything_else(
     _, data = whole
     path = tmp_path / "bad.mcap"
     rng = np.random.default_rng(6)
-    read = 0
-    for _ in range(150):
+    read, refusals = 0, []
+    for _ in range(60):
         bad = bytearray(data)
         for at in rng.integers(0, len(data), rng.integers(1, 6)):
             bad[at] ^= 1 << int(rng.integers(8))
@@ -294,8 +294,9 @@ def test_damaged_logs_never_raise_anything_else(
                 assert reader(path).notes is not None
                 read += 1
             except CompanionError as error:
-                assert "\n" not in str(error)
-    assert read > 200  # most damage costs a chunk, not the log
+                refusals.append(str(error))
+    assert not any("\n" in text for text in refusals)
+    assert read > 80  # most damage costs a chunk, not the log
 
 
 def test_damaged_chunk_costs_only_itself(
