@@ -55,7 +55,7 @@ class ImuSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     accel_range_mps2: float = math.inf
     vibration_mps2: float = 0.0
     """RMS of rotor or engine vibration on each accelerometer axis, moving the sensor to and fro
-    by micrometres: not part of the truth."""
+    by micrometres: not part of the truth. From just before the first motion to the last one."""
     vibration_hz: float = 80.0
 
     def modelled_only(self) -> ImuSpec:
@@ -209,10 +209,15 @@ def _bias(
 
 
 def measure(
-    spec: ImuSpec, rng: np.random.Generator, gyro_ideal: F64, accel_ideal: F64
+    spec: ImuSpec,
+    rng: np.random.Generator,
+    gyro_ideal: F64,
+    accel_ideal: F64,
+    running: F64 | float = 1.0,
 ) -> tuple[F64, F64, F64, F64]:
     """Gyro, accelerometer, gyro bias, accelerometer bias, each (N, 3) in SI, of a simulated unit.
 
+    ``running`` (N, 1) scales the vibration: 1 with motors on, 0 with motors off.
     A zero-valued error still draws its random numbers, so that switching one off leaves the
     others as they were.
     """
@@ -253,7 +258,8 @@ def measure(
         step_s,
         bias=accel_bias,
         noise=spec.accel_noise_mps2_rthz,
-        vibration=narrow_band(rng, count, step_s, spec.vibration_mps2, spec.vibration_hz, 3),
+        vibration=running
+        * narrow_band(rng, count, step_s, spec.vibration_mps2, spec.vibration_hz, 3),
         scale=spec.accel_scale_ppm * 1e-6,
         misalignment=spec.accel_misalignment_mrad * 1e-3,
         quantum=spec.accel_step_mps2,

@@ -64,6 +64,16 @@ def _ns(seconds: F64) -> I64:
     return np.rint(seconds * 1e6).astype(np.int64) * 1000
 
 
+def _running(trajectory: Trajectory, t: F64, duration_s: float) -> F64:
+    """(N, 1) 1 where the motors are on: from a second before the first motion to the last one."""
+    coarse = np.arange(0.0, duration_s, 0.1)
+    moving = coarse[np.linalg.norm(trajectory.states(coarse).vel_n, axis=1) > 0.01]
+    if len(moving) == 0:
+        return np.zeros((len(t), 1))
+    on = (t >= moving[0] - 1.0) & (t <= moving[-1])
+    return np.where(on, 1.0, 0.0)[:, None]
+
+
 def _inertial(
     spec: imu.ImuSpec, rng: np.random.Generator, trajectory: Trajectory, duration_s: float
 ) -> tuple[ImuSamples, F64, F64]:
@@ -75,7 +85,9 @@ def _inertial(
         ideal = trajectory.inertial_means(valid, interval)
     else:
         ideal = trajectory.inertial(valid)
-    gyro, accel, gyro_bias, accel_bias = imu.measure(spec, rng, *ideal)
+    gyro, accel, gyro_bias, accel_bias = imu.measure(
+        spec, rng, *ideal, _running(trajectory, valid, duration_s)
+    )
     rx = stamp_ns + _ns(np.array(spec.arrival_ms * 1e-3))
     samples = ImuSamples(spec.source, stamp_ns, rx, stamp_ns, gyro, accel, interval)
     return samples, gyro_bias, accel_bias

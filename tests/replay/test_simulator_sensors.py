@@ -133,6 +133,18 @@ def test_a_perfect_integrating_unit_loses_no_motion() -> None:
     assert np.array_equal(block.accel_b, accel)
 
 
+def test_vibration_comes_with_the_motors() -> None:
+    imu = graded("perfect", rate_hz=200.0, vibration_mps2=0.5)
+    sim = run(Scenario(trajectory=MISSION, imu=(imu,)), 4)
+    block = sim.recording.imu[0]
+    t = (block.t_ns - sim.t0_ns) / NS
+    shaking = block.accel_b - sim.trajectory.inertial(t)[1]
+    assert not shaking[t < 8.0].any()
+    flying = shaking[(t > 11.0) & (t < 100.0)]
+    # Bandwidth 8 Hz: about 2 · 8 · 89 s independent samples an axis.
+    assert_variance(flying, 0.25, effective=3 * 1424)
+
+
 def test_a_late_unit_stamps_after_it_measures() -> None:
     imu = graded("perfect", rate_hz=100.0, latency_ms=10.0)
     sim = run(Scenario(trajectory=MISSION, imu=(imu,)), 4)
