@@ -99,7 +99,7 @@ def assert_same(a: Any, b: Any) -> None:
     for f in fields(a):
         x, y = getattr(a, f.name), getattr(b, f.name)
         if isinstance(x, np.ndarray):
-            assert x.shape == y.shape and x.dtype == y.dtype, f.name
+            assert (x.shape, x.dtype) == (y.shape, y.dtype), f.name
             assert x.tobytes() == y.tobytes(), f.name
         else:
             assert x == y, f.name
