@@ -100,6 +100,14 @@ def test_several_units_are_several_tables() -> None:
         ("[imu]\ngrade = 'cheap'", "mems-consumer"),
         ("[imu]\nrate_hz = 0", "imu.rate_hz"),
         ("[imu]\nlatency_ms = 9000", "imu.latency_ms"),
+        ("[imu]\ngyro_instability_tau_s = 0", "imu.gyro_instability_tau_s"),
+        ("[imu]\nvibration_hz = nan", "imu.vibration_hz"),
+        ("[imu]\naccel_noise_mps2_rthz = -0.1", "imu.accel_noise_mps2_rthz"),
+        ("[imu]\naccel_noise_mps2_rthz = inf", "imu.accel_noise_mps2_rthz"),
+        ("[gnss]\nlatency_ms = -5", "gnss.latency_ms"),
+        ("[gnss]\ncorrelated_tau_s = 0", "gnss.correlated_tau_s"),
+        ("[baro]\nsd_m = nan", "baro.sd_m"),
+        ("[trajectory]\nduration_s = 80000\n[imu]\nrate_hz = 2000", "samples"),
         ("imu = []", "imu"),
         ("imu = 3", "imu"),
         ("[gnss]\nrate_hz = 'fast'", "rate_hz"),
@@ -137,6 +145,12 @@ def test_the_matching_configuration_says_what_was_simulated() -> None:
     assert not config.baro.use
     for unit in IMU_GRADES.values():
         assert imu_config(unit).gyro_noise_dps_rthz > 0
+
+
+def test_a_date_without_a_magnetic_model_is_refused() -> None:
+    early = msgspec.structs.replace(SHORT, start_unix_s=0)
+    with pytest.raises(CompanionError, match="World Magnetic Model"):
+        simulate(early, 0)
 
 
 # --------------------------------------------------------------------------- files
