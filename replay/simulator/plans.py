@@ -92,7 +92,8 @@ def multirotor_mission(
     """Waypoints within 80 m of home and 15-45 m up, with climbs, pauses and turns of the nose.
 
     The nose turns to the next waypoint in hover, or stays where it is (one leg in three, flown
-    sideways). The last leg leads home, where the vehicle lands and rests, if the time allows.
+    sideways). The last leg leads home, where the vehicle lands and rests. A leg is flown only if
+    there is time to come home after it: a duration too short for that stays on the ground.
     """
     t = knots(duration_s, STEP_S)
     plan = Schedule(0.0, 0.0, 0.0, heading)
@@ -101,7 +102,8 @@ def multirotor_mission(
     target = np.array([0.0, 0.0, -20.0])
     speed, accel, turn = 3.0, 1.5, 0.0
     while True:
-        homeward = 8.0 + _leg_s(np.append(target[:2], 0.1), 8.0, 2.0) - target[2] / 2.0 + 2.0
+        # Pauses and slowing down on the way take at most 10 s beside the leg home and the descent.
+        homeward = 10.0 + _leg_s(np.append(target[:2], 0.1), 8.0, 2.0) - target[2] / 2.0
         if plan.now + _turn_s(turn) + _leg_s(target - at, speed, accel) + homeward > duration_s:
             break
         yaw = plan.values[3] + turn
@@ -114,6 +116,7 @@ def multirotor_mission(
         bearing = math.atan2(target[1] - at[1], target[0] - at[0])
         turn = math.remainder(bearing - yaw, 2 * math.pi) if rng.uniform() < 2 / 3 else 0.0
     if at[2] < 0.0:
+        # 0.1 m of descent on the way: straight above home there would be no leg to fly.
         _fly(plan, np.append(-at[:2], 0.1), 8.0, 2.0)
         plan.stay(2.0)
         _fly(plan, np.array([0.0, 0.0, -at[2] - 0.1]), 2.0, 1.0)
