@@ -38,7 +38,7 @@ def running_median(values: I64, width: int) -> I64:
 
 
 def plausible_wall(stamp_us: I64) -> tuple[I64, int]:
-    """Wall stamps [µs] with corrupt ones replaced by the one before, and how many were.
+    """Wall stamps [µs] with corrupt ones replaced by the next good one, and how many were.
 
     The stamp of a tlog is outside the CRC. It is corrupt when it is outside 2000-2100 or more
     than 5 s off the median of its seven neighbours; a real step of the clock survives that.
@@ -53,9 +53,12 @@ def plausible_wall(stamp_us: I64) -> tuple[I64, int]:
     good &= np.abs(stamp_us - centre) < _SPIKE_US
     if not good.any():
         return np.zeros_like(stamp_us), int(good.shape[0])
-    last = np.maximum.accumulate(np.where(good, np.arange(good.shape[0]), -1))
-    last[last < 0] = int(np.flatnonzero(good)[0])
-    return stamp_us[last], int((~good).sum())
+    # The next good stamp, never the one before: too early an arrival would pull the lower
+    # envelope of wall minus boot, and with it the whole clock, early.
+    count = good.shape[0]
+    following = np.minimum.accumulate(np.where(good, np.arange(count), count)[::-1])[::-1]
+    following[following == count] = int(np.flatnonzero(good)[-1])
+    return stamp_us[following], int((~good).sum())
 
 
 def boot_sessions(boot_us: I64) -> I64:
@@ -115,11 +118,21 @@ def _forward_steps(delay: I64, session_of: I64) -> I64:
     return np.array(found, np.int64)
 
 
+def _pairs(row: I64, after: I64) -> list[tuple[int, int]]:
+    """Frames of each reference in ``after`` and of the reference before it."""
+    return [(int(row[i - 1]), int(row[i])) for i in after]
+
+
 def _without_steps(wall_us: I64, row: I64, boot_us: I64, session_of: I64) -> tuple[I64, list[str]]:
     """Wall stamps with the recorder's clock steps taken out, by the boot clock where it can."""
     delay = wall_us[row] - boot_us
     backward = np.flatnonzero(np.diff(wall_us) < -_BACKWARD_US) + 1
-    forward = row[_forward_steps(delay, session_of)]
+    after = _forward_steps(delay, session_of)
+    # The step is at the frame where the wall clock jumped, not at the next one with a boot stamp.
+    forward = np.array(
+        [a + 1 + int(np.argmax(np.diff(wall_us[a : b + 1]))) for a, b in _pairs(row, after)],
+        np.int64,
+    )
     edges = np.union1d(backward, forward)
     if not edges.size:
         return wall_us, []

@@ -153,7 +153,8 @@ class DataFlash:
             wire, scale = _WIRE[letter]
             if wire.startswith("S"):
                 continue
-            values[label] = table[label].astype(np.float64) * scale
+            with np.errstate(invalid="ignore"):  # corrupt floats may be signalling NaN
+                values[label] = table[label].astype(np.float64) * scale
             if table[label].dtype.kind in "iu":
                 integers[label] = table[label].astype(np.int64)
         return Columns(name, values, integers, order)

@@ -58,13 +58,34 @@ Topic = dict[str, NDArray[Any]]
 Logged = dict[tuple[str, int], Topic]
 
 
+class _Bounded(io.BytesIO):
+    """A file in memory that ends the reading of a log which makes the parser go round in circles.
+
+    pyulog seeks back over corrupt messages; at the end of a cut file that never ends. A sound log
+    is read about once, in two calls a message.
+    """
+
+    def __init__(self, path: Path) -> None:
+        data = path.read_bytes()
+        super().__init__(data)
+        self._path = path
+        self._left = 40 * len(data) + 1_000_000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        self._left -= len(data) + 16
+        if self._left < 0:
+            raise LogFormatError(f"{self._path}: ULog file too corrupt to find its messages")
+        return data
+
+
 def _load(path: Path) -> tuple[Logged, list[str]]:
     """Topics by (name, instance) with plausible, increasing publication times, and notes."""
     chatter = io.StringIO()  # pyulog reports corruption by printing
     try:
         with contextlib.redirect_stdout(chatter), np.errstate(all="ignore"):
-            log = ULog(str(path), message_name_filter_list=_TOPICS)
-    except OSError:
+            log = ULog(_Bounded(path), message_name_filter_list=_TOPICS)
+    except (OSError, LogFormatError):
         raise
     except Exception as error:  # pyulog raises whatever its parsing stumbles over
         reason = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
@@ -107,7 +128,8 @@ def _field(topic: Topic, *names: str, scale: float = 1.0) -> F64 | None:
     """The first of ``names`` that the topic has, as float64 times ``scale``."""
     for name in names:
         if name in topic:
-            out: F64 = topic[name].astype(np.float64) * scale
+            with np.errstate(invalid="ignore"):  # corrupt floats may be signalling NaN
+                out: F64 = topic[name].astype(np.float64) * scale
             return out
     return None
 
