@@ -96,6 +96,8 @@ class Mag(_Section):
     latency_ms: float = 0.0
     sd_deg: float = 5.0
     """Heading, 1σ."""
+    max_rate_hz: float = 10.0
+    """Faster streams are thinned: neighbouring magnetometer errors are not independent."""
     declination_deg: float | None = None
     """Absent: World Magnetic Model at the place and date."""
     hard_iron_t: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -201,6 +203,7 @@ _POSITIVE = (
     "gnss.sd_velocity_down_mps",
     "baro.sd_m",
     "mag.sd_deg",
+    "mag.max_rate_hz",
     "constraints.zero_velocity_sd_mps",
     "constraints.zero_rate_sd_dps",
     "constraints.standstill_window_s",

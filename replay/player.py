@@ -18,6 +18,7 @@ from companion.types import (
     AnySamples,
     ImuSamples,
     LogFormatError,
+    MagSamples,
     Outputs,
     VehicleRecording,
 )
@@ -42,14 +43,22 @@ def choose_imu(vehicle: VehicleRecording, config: Config) -> ImuSamples:
 
 
 def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples]:
-    """The aiding streams in use: one barometer and magnetometer, the named GNSS receiver or all."""
+    """The aiding streams in use: the best of each kind, or the GNSS receiver that is named."""
     gnss = [
         g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)
     ]
     if vehicle.gnss and not gnss:
         names = ", ".join(g.source for g in vehicle.gnss)
         raise LogFormatError(f"no GNSS stream '{config.gnss.source}' in the log; it has {names}")
-    return [*gnss[:1], *vehicle.baro[:1], *vehicle.mag[:1]]
+    baro = vehicle.baro[:1] if config.baro.use else ()
+    mag = (thinned(m, config.mag.max_rate_hz) for m in vehicle.mag[:1] if config.mag.use)
+    return [*gnss[:1], *baro, *mag]
+
+
+def thinned(samples: MagSamples, rate_hz: float) -> MagSamples:
+    """One sample per period: telemetry repeats a slow sensor's value at the rate of the message."""
+    cell = samples.t_ns // round(NS / rate_hz)
+    return samples.take(np.concatenate([[True], cell[1:] != cell[:-1]]) if len(cell) else cell == 0)
 
 
 def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
