@@ -23,7 +23,7 @@ from companion.types import (
     Recording,
     ReferenceSamples,
 )
-from replay.clocks import Clock, boot_sessions, interpolation, unwrapped_interpolation
+from replay.clocks import MAX_BOOT_US, Clock, boot_sessions, interpolation, unwrapped_interpolation
 from replay.dataflash_codec import Columns, DataFlash, index_dataflash
 from replay.streams import finish_vehicle, unknown, wrap
 
@@ -44,7 +44,7 @@ def _boot_us(columns: Columns) -> I64 | None:
     """
     raw = columns.integers
     if "TimeUS" in raw:
-        return np.clip(raw["TimeUS"], 0, 2**53)
+        return np.clip(raw["TimeUS"], 0, MAX_BOOT_US)
     label = "T" if columns.name in ("GPS", "GPS2") else "TimeMS"
     return raw[label] * 1000 if label in raw else None
 

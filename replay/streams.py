@@ -80,8 +80,12 @@ def increasing(samples: S) -> tuple[S, int]:
     t = samples.t_ns
     if t.shape[0] < 2:
         return samples, 0
-    before = np.maximum.accumulate(t)[:-1]
-    keep = np.concatenate([[True], t[1:] > before])
+    # One corrupt stamp far ahead must not cost everything after it: a row is a spike if the
+    # next two are earlier, while the next still goes on from the one before.
+    spike = np.zeros(t.shape[0], np.bool_)
+    spike[1:-2] = (t[1:-2] > t[2:-1]) & (t[1:-2] > t[3:]) & (t[2:-1] > t[:-3])
+    before = np.maximum.accumulate(np.where(spike, t.min(), t))[:-1]
+    keep = np.concatenate([[True], t[1:] > before]) & ~spike
     dropped = int((~keep).sum())
     return (samples.take(keep), dropped) if dropped else (samples, 0)
 

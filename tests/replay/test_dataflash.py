@@ -46,3 +46,11 @@ def test_garbage_and_truncation_cost_only_their_records(tmp_path: Path) -> None:
     vehicle = read(data[:at] + b"\xa3\x95garbage" + data[at:-5], tmp_path)
     # The record before the garbage has no header behind it and goes with it.
     assert 198 <= len(vehicle.imu[0]) <= 200
+
+
+def test_one_corrupt_stamp_costs_one_sample(tmp_path: Path) -> None:
+    data = bytearray(logs.dataflash(4.0))
+    at = data.index(b"\xa3\x95\x83", 3000)
+    data[at + 3 + 5] ^= 0x40  # a high byte of TimeUS; there is no checksum to catch it
+    vehicle = read(bytes(data), tmp_path)
+    assert len(vehicle.imu[0]) == 199
