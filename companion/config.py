@@ -51,6 +51,9 @@ class Imu(_Section):
     accel_bias_sd_mps2: float = 0.2
     accel_bias_walk_mps2_rts: float = 0.0005
     accel_bias_tau_s: float = 0.0
+    vibration_gain_rthz: float = 0.0
+    """Further accelerometer noise density per m/s² of vibration (1σ over a quarter of the
+    standstill window) [1/√Hz]; rectification and aliasing grow with what shakes the sensor."""
     scale_factor_states: bool = False
     gyro_scale_sd_ppm: float = 5000.0
     accel_scale_sd_ppm: float = 5000.0

@@ -12,6 +12,7 @@ back to a snapshot, takes it at its own time, and walks forward again. So there 
 from __future__ import annotations
 
 import hashlib
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,6 +49,8 @@ WAITING_NS = 60 * NS
 """Aids waiting for a silent IMU: older ones are forgotten."""
 KEEP_NS = 6 * NS
 """Aids kept behind the ring, for realignment and relocking."""
+EARLY_MAG = 4
+"""Magnetometer arrivals kept until the first fix tells the place and so the declination."""
 CHUNK = 20_000
 """Inertial samples walked between two drains of the outputs: bounds memory, not results."""
 
@@ -88,6 +91,7 @@ class Engine:
         self._refusals: list[AidingReports] = []
         self._last_fix: tuple[float, float, float] | None = None
         self._declination: float | None = None
+        self._early_mag: deque[MagSamples] = deque(maxlen=EARLY_MAG)
 
     # ------------------------------------------------------------------ in
 
@@ -98,6 +102,19 @@ class Engine:
         """
         if isinstance(samples, ImuSamples):
             return self._step_imu(samples)
+        if isinstance(samples, MagSamples) and self.config.mag.use and not self._know_declination(
+            samples
+        ):
+            self._early_mag.append(samples)
+            return self._drain()
+        if isinstance(samples, GnssSamples) and self._early_mag:
+            self._note_place(samples)
+            if self._last_fix is not None:
+                # Heading at the start comes from these: they go in before the fix does.
+                early, self._early_mag = self._early_mag, deque(maxlen=EARLY_MAG)
+                for mag in early:
+                    self._know_declination(mag)
+                    self._step_aids(mag)
         self._step_aids(samples)
         return self._drain()
 
@@ -254,11 +271,7 @@ class Engine:
         if not self._identity:
             rows[:, :3] = rows[:, :3] @ self._axes.T
         rows[:, w.A_VAR] = (self.config.mag.sd_deg * DEG) ** 2
-        azimuth = self._local_declination(samples)
-        if azimuth is None:
-            verdict[:] = Verdict.REFUSED_NOT_ALIGNED
-        else:
-            rows[:, w.A_AZIMUTH] = azimuth
+        rows[:, w.A_AZIMUTH] = self._declination
         strength = np.linalg.norm(rows[:, :3], axis=1)
         verdict[~(strength > 0)] = Verdict.REFUSED_INVALID
         return w.KIND_MAG, rows, t, verdict
@@ -301,19 +314,28 @@ class Engine:
             used = np.flatnonzero(verdict == 0)
             if self.filter.phases[-1].filters:
                 rows[used, :3] = np.nan
-        good = np.flatnonzero(verdict == 0)
-        if len(good) and self._last_fix is None:
-            m = int(good[0])
-            self._last_fix = (float(g.lat[m]), float(g.lon[m]), float(g.height[m]))
+        self._note_place(g)
 
-    def _local_declination(self, samples: MagSamples) -> float | None:
-        """Declination at the place of the first fix and its date; None before there is one."""
+    def _note_place(self, g: GnssSamples) -> None:
+        """Remember where about the run is: rounded, so that it does not depend on which fix."""
+        if self._last_fix is not None:
+            return
+        good = np.flatnonzero((g.fix_type >= 3) & np.isfinite(g.lat) & (np.abs(g.lat) < 1.56))
+        if len(good):
+            m = int(good[0])
+            place = round(float(g.lat[m]), 3), round(float(g.lon[m]), 3), 0.0
+            self._last_fix = place
+
+    def _know_declination(self, samples: MagSamples) -> bool:
+        """Whether declination is known: configured, or the model's at the first fix and its month."""
         if self._declination is None:
             if self.config.mag.declination_deg is not None:
                 self._declination = self.config.mag.declination_deg * DEG
             elif self._last_fix is not None:
-                self._declination = declination(*self._last_fix, int(samples.t_ns[0]))
-        return self._declination
+                month = 30 * 86_400 * NS
+                when = int(samples.t_ns[0]) // month * month
+                self._declination = declination(*self._last_fix, when)
+        return self._declination is not None
 
     def _refuse(self, kind: int, source: int, t: I64, verdict: I64) -> None:
         n = len(t)

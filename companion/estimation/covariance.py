@@ -25,6 +25,7 @@ from companion.estimation.parameters import (
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
     GYRO_PSD,
+    VIBRATION_GAIN,
 )
 from companion.navigation.error_model import COLUMNS, transition_blocks
 from companion.navigation.layout import (
@@ -46,6 +47,7 @@ from companion.navigation.layout import (
     SUM_XA,
     SUM_XV,
     VEL,
+    VIBRATION,
 )
 from companion.navigation.layout import P as P_OFFSET
 from companion.types import F64, I64
@@ -93,7 +95,8 @@ def _decay_and_noise(s: F64, lay: I64, par: F64) -> None:
         P[start + 2, start + 2] += psd_down * q
     if lay[L_BARO] >= 0:
         P[lay[L_BARO], lay[L_BARO]] += par[BARO_PSD] * T
-    qv = par[ACCEL_PSD] * T + s[SUM_XV]
+    # Vibration is rectified and aliased by every accelerometer, in proportion to its strength.
+    qv = (par[ACCEL_PSD] + par[VIBRATION_GAIN] * s[VIBRATION]) * T + s[SUM_XV]
     qa = par[GYRO_PSD] * T + s[SUM_XA]
     for i in range(3):
         P[POS + i, POS + i] += qv * T * T / 3.0

@@ -38,8 +38,9 @@ from companion.types import NS, F64, I64
     COURSE_VAR,
     COURSE_SPEED,
     BRIDGED_DT,  # an IMU interval longer than this is a bridged gap
+    VIBRATION_GAIN,  # accelerometer noise density per vibration, squared [1/Hz]
     SIZE,
-) = range(26)
+) = range(27)
 
 # --- integer parameters
 (
@@ -86,6 +87,7 @@ def parameter_vector(config: Config) -> F64:
     p[COURSE_VAR] = (aid.course_sd_deg * DEG) ** 2
     p[COURSE_SPEED] = aid.course_min_speed_mps
     p[BRIDGED_DT] = 0.06
+    p[VIBRATION_GAIN] = imu.vibration_gain_rthz**2
     return p
 
 

@@ -248,7 +248,7 @@ def fuse_constraints(
     """Zero velocity and zero rate once a standing quarter, non-holonomic on its grid otherwise."""
     y = np.empty(3)
     R = np.empty(3)
-    if k[STANDING] == 3:
+    if k[STANDING] == 3 and ipar[ZERO_VELOCITY] == 1:
         for i in range(3):
             R[i] = par[ZUPT_VAR]
         zero_velocity(s, lay, H, y)
@@ -393,11 +393,10 @@ def walk(
         for c in range(6):
             s[LAST_GYRO + c] = sample[c]
         k[T_IMU] = t
-        if ipar[ZERO_VELOCITY] == 1:
-            observe(
-                s, k, sample, t, ipar[STILL_NS], par[STILL_GYRO], par[STILL_ACCEL], par[STILL_SPEED]
-            )
-        standing = k[STANDING] == 3
+        observe(
+            s, k, sample, t, ipar[STILL_NS], par[STILL_GYRO], par[STILL_ACCEL], par[STILL_SPEED]
+        )
+        standing = k[STANDING] == 3 and ipar[ZERO_VELOCITY] == 1
         due = ipar[CONSTRAINT_NS] > 0 and t // ipar[CONSTRAINT_NS] != k[T_CONSTRAINT]
         cell = t // ipar[COVARIANCE_NS]
         if standing or due or cell != k[T_COVARIANCE]:

@@ -29,9 +29,9 @@ from companion.navigation.layout import (
     STILL_SUB,
     STILL_SUM,
     T_GNSS_SPEED,
-    T_NOW,
     VEL,
     VEL_N,
+    VIBRATION,
 )
 from companion.types import F64, I64
 
@@ -98,6 +98,7 @@ def observe(
                 mean = s[STILL_SUM + 1 + i] / count
                 s[slot + i] = mean
                 s[slot + 6 + i] = max(0.0, s[STILL_SUM + 7 + i] / count - mean * mean)
+            s[VIBRATION] = (s[slot + 9] + s[slot + 10] + s[slot + 11]) / 3.0
             k[STILL_COUNT] += 1
             k[STANDING] = 2 + _decide(s, k, t, gyro, accel, speed)
         else:

@@ -53,8 +53,9 @@ STILL_SUM = STILL  # n, sums (6), sums of squares (6) of the running sub-block
 STILL_RING = STILL + 13  # per sub-block: means (6), variances (6)
 STILL_LEARNED = STILL_RING + STILL_SUB * 12  # weight, variances at rest (6)
 STILL_SIZE = 13 + STILL_SUB * 12 + 7
+VIBRATION = STILL + STILL_SIZE  # variance of specific force over the last full quarter [(m/s²)²]
 # --- adaptive scale on R, one a channel
-R_SCALE = STILL + STILL_SIZE
+R_SCALE = VIBRATION + 1
 CHANNELS = 10
 # --- covariance, last because its size varies
 P = R_SCALE + CHANNELS
