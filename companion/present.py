@@ -236,15 +236,3 @@ def _show_outages(console: Console, outages: Sequence[Mapping[str, Any]]) -> Non
 
 def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
-
-
-def show_bench(console: Console, figures: Mapping[str, Any]) -> None:
-    """Print one ``bench --json`` object."""
-    e = figures["engine"]
-    console.print(
-        f"Engine    {e['cpu_us_per_epoch']:.2f} µs of CPU an IMU epoch, "
-        f"{e['times_real_time']:.0f} times real time (scenario {escape(e['scenario'])}, "
-        f"{_span(e['duration_s'])}, {e['imu_epochs']} epochs, median of {e['repeats']})"
-    )
-    console.print(f"Memory    {e['peak_memory_mb']:.0f} MB at most, recording included")
-    console.print("Machine   " + ", ".join(f"{k} {v}" for k, v in figures["machine"].items()))

@@ -226,22 +226,43 @@ def simulate(
 
 @app.command()
 def bench(
-    scenario: Annotated[
-        str, typer.Option(metavar="SCENARIO", help="What is flown: a built-in name or .toml file.")
-    ] = "hour",
-    repeats: Annotated[int, typer.Option(min=1, help="Runs; the figures are medians.")] = 5,
+    only: Annotated[
+        str,
+        typer.Option(
+            metavar="PART,…",
+            help="Only these. filter: CPU time an IMU epoch beside a bare loop and smsfusion; "
+            "memory: peak and growth; start: warm and cold; tlog: needs --tlog.",
+        ),
+    ] = "filter,memory,start,tlog",
+    minutes: Annotated[
+        float, typer.Option(min=5, help="Length of the simulated flight for the filter.")
+    ] = 60.0,
+    repeats: Annotated[int, typer.Option(min=1, help="Rounds; the figures are medians.")] = 5,
+    tlog: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG.tlog", help="Also time `companion replay` of it against pymavlink."
+        ),
+    ] = None,
+    config: ConfigPath = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Speed and memory of the filter on a simulated recording in memory.
+    """Speed, memory and start-up time on this machine, beside peers where they are installed.
 
-    CPU in µs an IMU epoch, memory in MB.
+    CPU in µs an IMU epoch, memory in MB, times in s. Pinned to one core, rounds interleaved.
 
-    Example: companion bench --repeats 5 --json
+    Example: companion bench --only filter,start --repeats 5 --json
     """
     console = _console(as_json)
-    from companion.cli.commands import bench_engine
+    parts = only.split(",")
+    unknown = set(parts) - {"filter", "memory", "start", "tlog"}
+    if unknown:
+        raise typer.BadParameter(
+            f"'{unknown.pop()}': filter, memory, start or tlog", param_hint="'--only'"
+        )
+    from companion.cli.commands import run_bench
 
-    _emit_if(as_json, bench_engine(console, scenario, repeats))
+    _emit_if(as_json, run_bench(console, parts, minutes, repeats, tlog, config))
 
 
 def _emit_if(as_json: bool, result: Mapping[str, Any]) -> None:

@@ -277,11 +277,26 @@ def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) 
     }
 
 
-def bench_engine(console: Console, scenario: str, repeats: int) -> dict[str, Any]:
-    """Measure the engine on a simulated recording."""
+def run_bench(
+    console: Console,
+    parts: Sequence[str],
+    minutes: float,
+    repeats: int,
+    tlog: Path | None,
+    config_path: Path | None,
+) -> dict[str, Any]:
+    """Measure speed, memory and start-up on this machine."""
     with present.notice_if_slow(console, _COMPILING):
         from replay import bench
-    with present.progress(console, f"Measuring on scenario '{scenario}'") as update:
-        figures = bench.main(scenario=scenario, repeats=repeats, progress=update)
-    present.show_bench(console, figures)
+    with present.progress(console, "Measuring") as update:
+        figures = bench.main(
+            [part for part in bench.PARTS if part in parts],
+            duration_s=60.0 * minutes,
+            repeats=repeats,
+            tlog=tlog,
+            config=config_path,
+            progress=update,
+        )
+    for line in bench.lines(figures):
+        console.print(escape(line))
     return figures
