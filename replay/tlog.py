@@ -405,10 +405,13 @@ def read_tlog(path: Path) -> Recording:
         raise LogFormatError(f"{path}: {len(index)} MAVLink frames, but none from an autopilot")
     key = index.system.astype(np.int64) * 256 + index.component
     vehicles = []
+    metadata: dict[str, str] = {}
     for (system, component), name in zip(keys, _named(keys), strict=True):
         rows = np.flatnonzero(key == system * 256 + component)
         clock = vehicle_clock(wall, *_boot_references(buf, index, rows))
         vehicle, odd = _vehicle(_Stream(buf, index, rows, clock), name)
         vehicles.append(vehicle)
+        # Of the first boot: what a ground station noted in time since boot can then be found.
+        metadata[f"{name}.boot_offset_ns"] = str(int(clock.offset_ns[0]))
         notes += [f"{name}: {line}" if len(keys) > 1 else line for line in odd]
-    return Recording(str(path), "tlog", tuple(vehicles), tuple(notes))
+    return Recording(str(path), "tlog", tuple(vehicles), tuple(notes), metadata=metadata)
