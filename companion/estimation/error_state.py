@@ -26,7 +26,7 @@ from companion.navigation.alignment import (
     heading_from_field,
     level,
 )
-from companion.navigation.earth import gravity, ned_difference
+from companion.navigation.earth import RATE, gravity, ned_difference
 from companion.navigation.rotation import quat_from_rpy, rpy_from_quat
 from companion.types import NS, F64, I64, Event, Mode
 
@@ -343,6 +343,7 @@ class ErrorStateFilter:
         s[lo.LEVER_B : lo.LEVER_B + 3] = lever
         s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = lev.gyro_bias_b
         s[lo.R_SCALE : lo.R_SCALE + lo.CHANNELS] = 1.0
+        s[lo.EARTH_RATE] = RATE
         P = s[lo.P :].reshape(n, n)
         P[np.diag_indices(n)] = prior_var
         accel_var = prior_var[lo.ACCEL_BIAS : lo.ACCEL_BIAS + 3].copy()

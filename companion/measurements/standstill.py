@@ -13,8 +13,8 @@ import math
 
 from numba import njit
 
-from companion.navigation.earth import RATE
 from companion.navigation.layout import (
+    EARTH_RATE,
     GNSS_SPEED,
     GNSS_SPEED_SD,
     GYRO_BIAS,
@@ -128,7 +128,7 @@ def zero_velocity(s: F64, lay: I64, H: F64, y: F64) -> None:
 def zero_rate(s: F64, k: I64, lay: I64, C: F64, H: F64, y: F64) -> None:
     """Fill ``y`` (3,) [rad/s] and ``H`` (3, n): the last quarter's mean rate is bias plus Earth rate."""
     slot = STILL_RING + 12 * ((k[STILL_COUNT] - 1) % STILL_SUB)
-    north, down = RATE * math.cos(s[LAT]), -RATE * math.sin(s[LAT])
+    north, down = s[EARTH_RATE] * math.cos(s[LAT]), -s[EARTH_RATE] * math.sin(s[LAT])
     for i in range(3):
         for j in range(lay[L_N]):
             H[i, j] = 0.0

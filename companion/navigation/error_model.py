@@ -18,13 +18,14 @@ import math
 
 from numba import njit
 
-from companion.navigation.earth import RATE, gravity_gradient, radii
+from companion.navigation.earth import gravity_gradient, radii
 from companion.navigation.layout import (
     ACCEL_BIAS,
     ACCEL_BIAS_B,
     ACCEL_SCALE_B,
     ATT,
     BARO_BIAS,
+    EARTH_RATE,
     GNSS_BIAS,
     GYRO_BIAS,
     GYRO_BIAS_B,
@@ -97,7 +98,7 @@ def transition_blocks(s: F64, B: F64) -> None:
     tan_lat = sin_lat / cos_lat
     vn, ve, vd = s[VEL_N], s[VEL_N + 1], s[VEL_N + 2]
     enx, eny, enz = ve / n, -vn / m, -ve / n * tan_lat
-    iex, iez = RATE * cos_lat, -RATE * sin_lat
+    iex, iez = s[EARTH_RATE] * cos_lat, -s[EARTH_RATE] * sin_lat
     inx, iny, inz = iex + enx, eny, iez + enz
     cx, cy, cz = inx + iex, iny, inz + iez
 

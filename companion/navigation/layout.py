@@ -40,8 +40,10 @@ SUM_XV = 69  # extra velocity variance of bridged gaps [m²/s²]
 SUM_XA = 70  # extra attitude variance of bridged gaps [rad²]
 # --- running likelihood of the aiding, for the bank over headings
 LOG_LIKELIHOOD = 71
+# --- Earth rotation rate in force [rad/s]: earth.RATE; its negative where time runs backwards
+EARTH_RATE = 72
 # --- total error state in feedforward mode
-DX = 72  # (MAX_STATES)
+DX = 73  # (MAX_STATES)
 MAX_STATES = 28
 # --- last GNSS speed, for the standstill veto and COASTING
 GNSS_SPEED = DX + MAX_STATES
