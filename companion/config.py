@@ -80,9 +80,10 @@ class Gnss(_Section):
     lever_arm_sd_m: float = 0.0
     """Uncertainty of the lever arm; above 0 it becomes three states of the filter."""
     slow_error_sd_m: float = 0.0
-    """Slow (first-order Gauss-Markov) error of the receiver's horizontal position; above 0 three
-    states of the filter, the standard deviations above then being the white part."""
+    """Slow (first-order Gauss-Markov) error of the receiver's horizontal position, 1σ. Where this
+    or the next is above 0 it is three states, and the deviations above are the white part."""
     slow_error_height_sd_m: float = 0.0
+    """The same for its height."""
     slow_error_tau_s: float = 120.0
 
 
@@ -204,6 +205,7 @@ _POSITIVE = (
     "gnss.sd_height_m",
     "gnss.sd_velocity_mps",
     "gnss.sd_velocity_down_mps",
+    "gnss.slow_error_tau_s",
     "baro.sd_m",
     "mag.sd_deg",
     "mag.max_rate_hz",
@@ -233,7 +235,7 @@ def _check(config: Config) -> None:
     for i in range(3):
         for j in range(3):
             dot = sum(a * b for a, b in zip(axes[i], axes[j], strict=True))
-            if abs(dot - (i == j)) > 1e-6:
+            if not abs(dot - (i == j)) <= 1e-6:
                 raise ConfigError("key 'imu.axes': rows must be orthonormal (a rotation)")
     (a, b, c), (d, e, f), (g, h, i_) = axes
     if a * (e * i_ - f * h) - b * (d * i_ - f * g) + c * (d * h - e * g) < 0:

@@ -6,7 +6,7 @@ Everything here is SI and radians; the configuration's units end in :func:`param
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from companion.config import DEG, Config
 from companion.navigation.layout import Layout
@@ -76,7 +76,7 @@ def parameter_vector(config: Config) -> F64:
     p[GNSS_PSD] = 2.0 * config.gnss.slow_error_sd_m**2 / tau
     p[GNSS_PSD_DOWN] = 2.0 * config.gnss.slow_error_height_sd_m**2 / tau
     for dof in (1, 2, 3):
-        p[GATE + dof - 1] = chi2.ppf(config.engine.gate_probability, dof)
+        p[GATE + dof - 1] = chdtri(dof, 1.0 - config.engine.gate_probability)
     p[ZUPT_VAR] = aid.zero_velocity_sd_mps**2
     p[ZARU_VAR] = (aid.zero_rate_sd_dps * DEG) ** 2
     p[STILL_GYRO] = aid.standstill_gyro_dps * DEG
@@ -114,7 +114,7 @@ def layout(config: Config) -> Layout:
         scale=config.imu.scale_factor_states,
         lever=config.gnss.lever_arm_sd_m > 0,
         baro=config.baro.use,
-        gnss=config.gnss.slow_error_sd_m > 0,
+        gnss=config.gnss.slow_error_sd_m > 0 or config.gnss.slow_error_height_sd_m > 0,
     )
 
 
