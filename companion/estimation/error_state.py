@@ -272,14 +272,15 @@ class ErrorStateFilter:
             prior_bias=prior_bias,
             prior_var=prior_var[lo.GYRO_BIAS : lo.GYRO_BIAS + 3],
         )
-        yaw, yaw_sd, how = self._heading(lev, aids, j, speed)
+        yaw, yaw_sd, slope, how = self._heading(lev, aids, j, speed)
         headings = [yaw]
         if how == "unknown":
             count = cfg.alignment.hypotheses
             headings = [2 * math.pi * m / count - math.pi for m in range(count)]
             yaw_sd = math.pi / count
         filters = [
-            self._initial(lev, h, yaw_sd, fix, imu, b, t, phase, prior_var) for h in headings
+            self._initial(lev, h, yaw_sd, slope, fix, imu, b, t, phase, prior_var)
+            for h in headings
         ]
         mode = Mode.HEADING_UNKNOWN if how == "unknown" else Mode.NAVIGATING
         new = Phase(t, mode, filters, resets=phase.resets)
@@ -300,33 +301,37 @@ class ErrorStateFilter:
 
     def _heading(
         self, lev: Level, aids: SampleBuffer, j: int, speed: float
-    ) -> tuple[float, float, str]:
-        """Heading [rad], its standard deviation and where it is from, at fix ``j``."""
+    ) -> tuple[float, float, tuple[float, float], str]:
+        """Heading [rad], its standard deviation, slope with tilt, and origin, at fix ``j``."""
         cfg = self.config
         wish = cfg.alignment.heading
         fix, t = aids.rows[j], int(aids.t[j])
         if wish == "fixed":
-            return cfg.alignment.fixed_heading_deg * DEG, cfg.mag.sd_deg * DEG, "configuration"
+            fixed = cfg.alignment.fixed_heading_deg * DEG
+            return fixed, cfg.mag.sd_deg * DEG, (0.0, 0.0), "configuration"
         if wish == "magnetometer" or (wish == "auto" and cfg.mag.use):
             for m in range(j, aids.start - 1, -1):
                 if t - int(aids.t[m]) > MAG_AGE_NS:
                     break
                 if aids.key[m, 0] == w.KIND_MAG:
                     row = aids.rows[m]
-                    yaw = heading_from_field(lev.roll, lev.pitch, row[:3], row[w.A_AZIMUTH])
-                    return yaw, 2.0 * cfg.mag.sd_deg * DEG, "magnetometer"
+                    yaw, slope = heading_from_field(
+                        lev.roll, lev.pitch, row[:3], row[w.A_AZIMUTH]
+                    )
+                    return yaw, 2.0 * cfg.mag.sd_deg * DEG, slope, "magnetometer"
         if (wish == "course" or (wish == "auto" and cfg.constraints.course)) and (
             speed > cfg.constraints.course_min_speed_mps
         ):
             sd = math.hypot(cfg.constraints.course_sd_deg * DEG, math.sqrt(fix[9]) / speed)
-            return math.atan2(fix[4], fix[3]), 2.0 * sd, "course"
-        return 0.0, math.pi, "unknown"
+            return math.atan2(fix[4], fix[3]), 2.0 * sd, (0.0, 0.0), "course"
+        return 0.0, math.pi, (0.0, 0.0), "unknown"
 
     def _initial(
         self,
         lev: Level,
         yaw: float,
         yaw_sd: float,
+        yaw_slope: tuple[float, float],
         fix: F64,
         imu: SampleBuffer,
         b: int,
@@ -367,7 +372,7 @@ class ErrorStateFilter:
             P[3 + m, 3 + m] = velocity_var[m]
         g = gravity(float(fix[0]), float(fix[2]))
         attitude, cross = attitude_covariance(
-            s[:4], accel_var, lev.tilt_var, yaw_sd * yaw_sd, g
+            s[:4], accel_var, lev.tilt_var, yaw_sd * yaw_sd, g, yaw_slope
         )
         P[6:9, 6:9] = attitude
         P[6:9, 9:12] = cross

@@ -74,22 +74,40 @@ def level(
 
 
 def attitude_covariance(
-    q_nb: F64, accel_bias_var: F64, tilt_var: float, yaw_var: float, g: float
+    q_nb: F64,
+    accel_bias_var: F64,
+    tilt_var: float,
+    yaw_var: float,
+    g: float,
+    yaw_slope: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[F64, F64]:
     """P_φφ (3, 3) and P_φb_a (3, 3) after levelling with an unknown accelerometer bias.
 
     φ = J C_nb b_a, J = [[0, 1/g, 0], [−1/g, 0, 0], [0, 0, 0]], from C_true (f̄ − b_a) = (0, 0, −g).
+    ``yaw_slope``: φ_D = slope_N φ_N + slope_E φ_E + ν, ν of ``yaw_var`` [rad²], where the heading
+    was taken through the tilted level (:func:`heading_from_field`).
     """
     J = np.zeros((3, 3))
     J[0, 1], J[1, 0] = 1.0 / g, -1.0 / g
     M = J @ matrix_from_quat(q_nb)
     cross = M * accel_bias_var[None, :]
     P = cross @ M.T + np.diag([tilt_var, tilt_var, yaw_var])
+    T = np.eye(3)
+    T[2, :2] = yaw_slope
+    P, cross = T @ P @ T.T, T @ cross
     return 0.5 * (P + P.T), cross
 
 
-def heading_from_field(roll: float, pitch: float, field_b: F64, declination: float) -> float:
-    """Heading [rad] from a magnetic field in body axes at a known level attitude."""
+def heading_from_field(
+    roll: float, pitch: float, field_b: F64, declination: float
+) -> tuple[float, tuple[float, float]]:
+    """Heading [rad] from a magnetic field in body axes at a level attitude, and its slope.
+
+    A tilt error turns the dip of the field u into heading: from 0 = H φ of heading.direction,
+    φ_D = (u_D u_N φ_N + u_D u_E φ_E) / u_h². At a dip of 63° that is twice the tilt.
+    """
     C = matrix_from_quat(quat_from_rpy(roll, pitch, 0.0))
     m = C @ field_b
-    return declination - math.atan2(m[1], m[0])
+    dip = m[2] / max(math.hypot(m[0], m[1]), 1e-12 * abs(m[2]))
+    slope = (dip * math.cos(declination), dip * math.sin(declination))
+    return declination - math.atan2(m[1], m[0]), slope
