@@ -60,9 +60,12 @@ def normalised_square(S: F64, y: F64, m: int, L: F64) -> float:
 def reset_covariance(P: F64, dx: F64, n: int) -> None:
     """P ← G P Gᵀ for the attitude error re-expressed about the corrected attitude.
 
-    exp(φ') = exp(φ) exp(−φ̂) gives φ' = (φ − φ̂) + ½ φ̂ × (φ − φ̂), so G = I + ½[φ̂×].
+    exp(φ') = exp(φ) exp(−φ̂) gives φ' = (φ − φ̂) + ½ φ̂ × (φ − φ̂), so G = I + ½[φ̂×] for tilt.
+    About the vertical the whole φ̂_D turns P: what is known of level (and its correlation with the
+    accelerometer bias) was learned in body axes whatever the heading, so it goes round with a
+    correction of it. The other half is the second-order term of C(φ̂) b that the update left out.
     """
-    x, y, z = 0.5 * dx[ATT], 0.5 * dx[ATT + 1], 0.5 * dx[ATT + 2]
+    x, y, z = 0.5 * dx[ATT], 0.5 * dx[ATT + 1], dx[ATT + 2]
     for j in range(n):
         a, b, c = P[ATT, j], P[ATT + 1, j], P[ATT + 2, j]
         P[ATT, j] = a - z * b + y * c

@@ -1,0 +1,49 @@
+"""Random filter states for the tests of kernels, and the difference of two states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.navigation import earth
+from companion.navigation import layout as lo
+from companion.navigation.earth import ned_difference
+from companion.navigation.rotation import attitude_error_n, quat_from_rpy
+from companion.types import F64
+
+ALL = lo.Layout.build(scale=True, lever=True, baro=True, gnss=True)
+CORE = lo.Layout.build(scale=False, lever=False, baro=False, gnss=False)
+
+
+def random_state(rng: np.random.Generator, layout: lo.Layout) -> F64:
+    """A plausible state in flight with a random covariance of realistic and correlated sizes."""
+    s = np.zeros(layout.size)
+    s[lo.Q : lo.Q + 4] = quat_from_rpy(*rng.uniform([-0.6, -0.6, -3.1], [0.6, 0.6, 3.1]))
+    s[lo.LAT], s[lo.LON], s[lo.HEIGHT] = rng.uniform([-1.2, -3.1, -50], [1.2, 3.1, 3000])
+    s[lo.VEL_N : lo.VEL_N + 3] = rng.normal(0, 15, 3)
+    s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = rng.normal(0, 0.1, 3)
+    s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = rng.normal(0, 0.005, 3)
+    s[lo.LEVER_B : lo.LEVER_B + 3] = rng.normal(0, 1, 3)
+    s[lo.LAST_GYRO : lo.LAST_GYRO + 3] = rng.normal(0, 0.5, 3)
+    s[lo.LAST_ACCEL : lo.LAST_ACCEL + 3] = [*rng.normal(0, 2, 3), 0, 0, -9.8]
+    s[lo.EARTH_RATE] = earth.RATE
+    s[lo.R_SCALE : lo.R_SCALE + lo.CHANNELS] = 1.0
+    n = layout.n
+    size = np.full(n, 0.3)
+    size[:15] = np.repeat([2.0, 0.3, 0.02, 0.05, 0.002], 3)
+    root = size[:, None] * rng.standard_normal((n, 2 * n)) / np.sqrt(2 * n)
+    s[lo.P :] = (root @ root.T).ravel()
+    return s
+
+
+def covariance(s: F64, layout: lo.Layout) -> F64:
+    """P (n, n) as a view."""
+    return s[lo.P :].reshape(layout.n, layout.n)
+
+
+def box_minus(a: F64, b: F64) -> F64:
+    """The core error (15,) that moves ``b`` to ``a``: the inverse of ⊞."""
+    llh = ned_difference(a[4:5], a[5:6], a[6:7], b[4:5], b[5:6], b[6:7])[0]
+    return np.concatenate(
+        [llh, a[lo.VEL_N : lo.VEL_N + 3] - b[lo.VEL_N : lo.VEL_N + 3],
+         attitude_error_n(a[:4], b[:4]), a[lo.ACCEL_BIAS_B : 16] - b[lo.ACCEL_BIAS_B : 16]]
+    )  # fmt: skip

@@ -1,0 +1,179 @@
+"""Φ against central differences of the strapdown kernel; P ← Φ P Φᵀ + Q against dense algebra."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from companion.config import Config, Imu
+from companion.estimation import parameters as par
+from companion.estimation.covariance import USED, propagate
+from companion.navigation import layout as lo
+from companion.navigation.error_model import COLUMNS, box_plus, transition_blocks
+from companion.navigation.mechanisation import advance
+from companion.types import F64
+
+from .states import ALL, CORE, box_minus, covariance, random_state
+
+STEP = np.repeat([10.0, 1e-2, 1e-4, 1e-3, 1e-4], 3)
+"""Half width of the differences: far above rounding, far below any curvature."""
+
+
+def _fly(s: F64, imu: F64, dt: float) -> None:
+    C = np.empty((3, 3))
+    for a, b in pairwise(imu):
+        advance(s, a, b, dt, False, C)
+
+
+def _samples(rng: np.random.Generator, count: int) -> F64:
+    """Rates near 0.5 rad/s and forces near weight that vary slowly between samples."""
+    base = np.concatenate([rng.normal(0, 0.4, 3), [*rng.normal(0, 2, 3), 0, 0, -9.8]])
+    return base + np.cumsum(rng.normal(0, 0.01, (count, 6)), axis=0)
+
+
+def _dense(s: F64, layout: lo.Layout) -> F64:
+    """Φ (n, n) of the running interval of ``s``; identity in the slow states."""
+    B = np.zeros((24, 3, 3))
+    transition_blocks(s, B)
+    phi = np.eye(layout.n)
+    offsets = [0, 3, 6, 9, 12, layout.accel_scale, layout.gyro_scale]
+    for r in range(3):
+        for c, at in enumerate(offsets):
+            if USED[r, c] and at >= 0:
+                phi[3 * r : 3 * r + 3, at : at + 3] = B[COLUMNS * r + c]
+    return phi
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("steps", "dt"), [(1, 0.005), (4, 0.005), (2, 0.01), (20, 0.001)])
+def test_transition_is_the_derivative_of_the_mechanisation(
+    seed: int, steps: int, dt: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    s = random_state(rng, CORE)
+    imu = _samples(rng, steps + 1)
+    lay = CORE.vector()
+    end = s.copy()
+    _fly(end, imu, dt)
+    phi = _dense(end, CORE)
+    numeric = np.empty((15, 15))
+    for j in range(15):
+        dx = np.zeros(15)
+        dx[j] = STEP[j]
+        plus, minus = s.copy(), s.copy()
+        box_plus(plus, lay, dx)
+        box_plus(minus, lay, -dx)
+        _fly(plus, imu, dt)
+        _fly(minus, imu, dt)
+        numeric[:, j] = box_minus(plus, minus) / (2 * STEP[j])
+    T = steps * dt
+    w, f = (np.abs(part).sum(axis=1).max() for part in (imu[:, :3], imu[:, 3:]))
+    # Attitude within a step is taken at its start, ½ ω dt off; what Φ keeps of order T² in the paths
+    # through attitude errs by ω T of it; position paths are cut after their leading order.
+    tolerance = np.full((15, 15), 1e-7)
+    tolerance[6:9, 12:] += 0.6 * w * dt * T
+    tolerance[3:6, 9:12] += 0.6 * w * dt * T
+    tolerance[3:6, 12:] += f * T * T * (0.6 * w * T + 0.6 * dt / T)
+    tolerance[0:3, 9:12] += 0.6 * w * T * T * T + 0.6 * w * dt * T * T
+    tolerance[0:3, 12:] += f * T**3
+    # ∫∫f of the kernel and transport during the interval: rates of 1e-4 rad/s.
+    tolerance[0:6, 6:9] += 1e-4 * f * T * T + f * dt * dt
+    tolerance[0:3, 3:6] += 1e-4 * T
+    # Each step rounds the last bit of a longitude of 3 rad, 3 nm, in both runs.
+    tolerance[0:3] += (1 + steps) * 3e-9 / STEP
+    assert np.all(np.abs(phi - numeric) < tolerance), np.abs(phi - numeric).max(axis=1)
+
+
+def test_gyro_bias_and_tilt_signs() -> None:
+    """A positive accelerometer bias left in makes the estimate too fast: δv = v_true − v falls."""
+    s = random_state(np.random.default_rng(0), CORE)
+    s[:4] = [1, 0, 0, 0]
+    _fly(s, np.tile([0, 0, 0, 0, 0, -9.8], (5, 1)).astype(float), 0.005)
+    phi = _dense(s, CORE)
+    assert phi[3, 9] == pytest.approx(-0.02, rel=1e-3)
+    assert phi[8, 14] == pytest.approx(-0.02, rel=1e-3)
+    # Nose truly higher than estimated (φ_E > 0): the force leans back, so δv_N grows negative.
+    assert phi[3, 7] == pytest.approx(-9.8 * 0.02, rel=1e-2)
+
+
+def _propagate(s: F64, layout: lo.Layout, config: Config) -> bool:
+    n = layout.n
+    return bool(
+        propagate(
+            s, layout.vector(), par.parameter_vector(config), np.empty((24, 3, 3)),
+            np.empty((9 + n, n)),
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", [CORE, ALL], ids=["core", "all"])
+@pytest.mark.parametrize("seed", range(4))
+def test_propagation_equals_dense_algebra(layout: lo.Layout, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    config = Config(imu=Imu(gyro_bias_tau_s=50.0, accel_bias_tau_s=20.0))
+    s = random_state(rng, layout)
+    _fly(s, _samples(rng, 5), 0.005)
+    s[lo.DX : lo.DX + layout.n] = dx = rng.standard_normal(layout.n)
+    before, phi, T = covariance(s, layout).copy(), _dense(s, layout), s[lo.SUM_T]
+    p = par.parameter_vector(config)
+    taus = [(9, p[par.ACCEL_BIAS_TAU], p[par.ACCEL_BIAS_PSD], p[par.ACCEL_BIAS_PSD])]
+    taus.append((12, p[par.GYRO_BIAS_TAU], p[par.GYRO_BIAS_PSD], p[par.GYRO_BIAS_PSD]))
+    if layout.gnss >= 0:
+        taus.append((layout.gnss, p[par.GNSS_TAU], p[par.GNSS_PSD], p[par.GNSS_PSD_DOWN]))
+    decay, Q = np.ones(layout.n), np.zeros((layout.n, layout.n))
+    for at, tau, psd, down in taus:
+        d = math.exp(-T / tau)
+        decay[at : at + 3] = d
+        Q[range(at, at + 3), range(at, at + 3)] = np.array([psd, psd, down]) * tau / 2 * (1 - d * d)
+    for i in range(3):
+        q = p[par.ACCEL_PSD]
+        Q[i, i] += q * T**3 / 3
+        Q[i, 3 + i] = Q[3 + i, i] = q * T**2 / 2
+        Q[3 + i, 3 + i], Q[6 + i, 6 + i] = q * T, p[par.GYRO_PSD] * T
+    if layout.baro >= 0:
+        Q[layout.baro, layout.baro] = p[par.BARO_PSD] * T
+    full = np.diag(decay) @ phi
+    assert _propagate(s, layout, config)
+    after = covariance(s, layout)
+    assert np.array_equal(after, after.T)
+    expected = full @ before @ full.T + Q
+    sd = np.sqrt(np.diag(expected))
+    assert np.max(np.abs(after - expected) / np.outer(sd, sd)) < 1e-13
+    assert np.linalg.eigvalsh(after / np.outer(sd, sd)).min() > 0
+    assert np.allclose(s[lo.DX : lo.DX + layout.n], full @ dx, rtol=1e-12, atol=1e-14)
+
+
+def test_fifty_hertz_agrees_with_every_sample() -> None:
+    rng = np.random.default_rng(8)
+    start = random_state(rng, CORE)
+    imu = _samples(rng, 2001)
+    C = np.empty((3, 3))
+    ends = []
+    for every in (1, 4):
+        s = start.copy()
+        for i in range(2000):
+            advance(s, imu[i], imu[i + 1], 0.005, False, C)
+            if (i + 1) % every == 0:
+                assert _propagate(s, CORE, Config())
+        ends.append(covariance(s, CORE).copy())
+    sd = np.sqrt(np.diag(ends[0]))
+    # The contract of transition_blocks says 1e-4 an interval; 500 intervals of mixed sign here.
+    assert np.max(np.abs(ends[1] - ends[0]) / np.outer(sd, sd)) < 5e-3
+
+
+def test_biases_forget_with_their_time_constant() -> None:
+    s = random_state(np.random.default_rng(1), CORE)
+    bias = s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3].copy()
+    config = Config(imu=Imu(gyro_bias_tau_s=10.0))
+    for _ in range(1000):
+        s[lo.SUM_T] = 0.02
+        _propagate(s, CORE, config)
+    assert np.allclose(s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3], bias * math.exp(-2.0), rtol=1e-12)
+    p = par.parameter_vector(config)
+    stationary = p[par.GYRO_BIAS_PSD] * 10.0 / 2
+    initial = covariance(random_state(np.random.default_rng(1), CORE), CORE)[12, 12]
+    expected = initial * math.exp(-4.0) + stationary * (1 - math.exp(-4.0))
+    assert covariance(s, CORE)[12, 12] == pytest.approx(expected, rel=1e-9)
