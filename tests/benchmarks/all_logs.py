@@ -6,6 +6,7 @@ in one line; a traceback or a hang would show as one.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import sys
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from replay.assessment import assess
 from replay.configuration import choose_config
 from replay.evaluation import EvaluationError
 from replay.preparation import navigable
-from replay.reader import read_log
+from replay.reader import READABLE, read_log
 from replay.session import SessionResult, run_session
 from replay.streams import rate_hz
 from replay.summary import summarise
@@ -81,10 +82,13 @@ def _replayed(result: SessionResult) -> str:
         found = assess(result.vehicle, result.chosen.config, result.solution, result.reports)
     except EvaluationError as error:
         return f"{said}; {error}"
-    return (
-        f"{said}; RMSE to {found.reference} {found.position_rmse_m['horizontal']:.2f} m, "
-        f"{found.velocity_rmse_mps['3d']:.2f} m/s, yaw {found.attitude_rmse_deg['yaw']:.1f}°"
-    )
+    errors = {
+        "m": found.position_rmse_m["horizontal"],
+        "m/s": found.velocity_rmse_mps["3d"],
+        "° yaw": found.attitude_rmse_deg["yaw"],
+    }
+    known = ", ".join(f"{x:.2f} {unit}" for unit, x in errors.items() if math.isfinite(x))
+    return f"{said}; RMSE to {found.reference} {known}"
 
 
 def examine(path: Path, name: str) -> Outcome:
@@ -98,7 +102,7 @@ def examine(path: Path, name: str) -> Outcome:
         result = run_session(fit[0], choose_config(recording))
         return Outcome(name, "replayed", shape, _replayed(result))
     except CompanionError as error:
-        return Outcome(name, "refused", shape, str(error).replace(str(path), path.name))
+        return Outcome(name, "refused", shape, str(error).removeprefix(f"{path}: "))
     except Exception as error:
         return Outcome(name, "crashed", shape, f"{type(error).__name__}: {error}")
 
@@ -125,13 +129,21 @@ def examine_all(directory: Path, limit_s: float = LIMIT_S) -> list[Outcome]:
 def main(directory: Path) -> None:
     """Print the table and the count of each end."""
     outcomes = examine_all(directory)
-    # The outcome's text is not a column: it is as long as it is.
+    # The outcome's text is no column: it is as long as it is, but for the list of what is readable.
     lines = table(
         ("log", "format", "s", "IMU", "fixes"), [(o.path, *o.shape) for o in outcomes]
     ).splitlines()
     width = max(map(len, lines))
     for line, said in zip(
-        lines, ["outcome", *(f"{o.ended}: {o.text}" for o in outcomes)], strict=True
+        lines,
+        [
+            "outcome",
+            *(
+                f"{o.ended}: {o.text.partition(READABLE)[0].removesuffix('; readable is ')}"
+                for o in outcomes
+            ),
+        ],
+        strict=True,
     ):
         print(f"{line:{width}}  {said}")
     ends = ("replayed", "refused", "crashed", "hung")
