@@ -24,7 +24,7 @@ def random_state(rng: np.random.Generator, layout: lo.Layout) -> F64:
     s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = rng.normal(0, 0.005, 3)
     s[lo.LEVER_B : lo.LEVER_B + 3] = rng.normal(0, 1, 3)
     s[lo.LAST_GYRO : lo.LAST_GYRO + 3] = rng.normal(0, 0.5, 3)
-    s[lo.LAST_ACCEL : lo.LAST_ACCEL + 3] = [*rng.normal(0, 2, 3), 0, 0, -9.8]
+    s[lo.LAST_ACCEL : lo.LAST_ACCEL + 3] = rng.normal([0, 0, -9.8], 2)
     s[lo.EARTH_RATE] = earth.RATE
     s[lo.R_SCALE : lo.R_SCALE + lo.CHANNELS] = 1.0
     n = layout.n

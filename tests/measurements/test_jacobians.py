@@ -68,7 +68,7 @@ GYRO_SCALE = (ALL.gyro_scale, ALL.gyro_scale + 1, ALL.gyro_scale + 2)
 @pytest.mark.parametrize("seed", range(6))
 def test_gnss_position(seed: int) -> None:
     s = _state(seed)
-    z = [*s[lo.LAT : lo.LAT + 3], 1e-06, -1e-06, 3.0]
+    z = s[lo.LAT : lo.LAT + 3] + np.array([1e-6, -1e-6, 3.0])
 
     def model(x: F64, H: F64, y: F64) -> int:
         position(x, LAY, matrix_from_quat(x[:4]), z, H, y)

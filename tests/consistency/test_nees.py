@@ -1,0 +1,53 @@
+"""Errors against the covariance that was claimed, over seeds, in simulated flights and drives.
+
+Sensors have only the errors that the filter models and the configuration states their sizes, so the
+normalised estimation error squared (NEES) of each 3-vector is χ² with 3 degrees of freedom. Epochs of
+one run are correlated, runs are not: bounds are taken at each epoch over the seeds, two-sided 95 %
+for all epochs and blocks of a scenario together (Bonferroni).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from . import runs
+
+SEEDS = 50
+
+
+def _nees(name: str, duration_s: float, times_s: tuple[float, ...], **gnss: object) -> np.ndarray:
+    """(SEEDS, epochs, 5) NEES; start headings go round the compass."""
+    out = np.empty((SEEDS, len(times_s), 5))
+    for seed in range(SEEDS):
+        scenario = runs.honest(name, duration_s, seed * 77 % 360 - 180.0, **gnss)
+        sim = runs.run(scenario, seed)
+        config = runs.changed(runs.matching_config(scenario), engine={"output_rate_hz": 2.0})
+        flown = runs.fly(sim.recording, config)
+        assert flown.event("reset") is None
+        at = runs.epochs(flown.solution, sim.t0_ns, times_s)
+        out[seed] = runs.nees(runs.errors(sim, flown.solution), flown.solution)[at]
+    return out
+
+
+def _bounds(epochs: int) -> tuple[float, float]:
+    return runs.mean_bounds(SEEDS, probability=1.0 - 0.05 / (5 * epochs))
+
+
+def test_drive_with_heading_found_in_motion_does_not_claim_too_much() -> None:
+    """No lower bound: its constraints hold exactly here, tighter than the configuration says."""
+    times = (35.0, 50.0, 64.0)
+    mean = _nees("car-with-stops", 65.0, times).mean(axis=0)
+    print("NEES by epoch", dict(zip(runs.BLOCKS, mean.T.round(2).tolist(), strict=True)))
+    assert np.all(mean < _bounds(len(times))[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("latency_ms", [0.0, 200.0])
+def test_fixed_wing_is_consistent(latency_ms: float) -> None:
+    times = (40.0, 60.0, 80.0)
+    nees = _nees("fixed-wing", 82.0, times, latency_ms=latency_ms)
+    mean = nees.mean(axis=0)
+    low, high = _bounds(len(times))
+    print("NEES by epoch", dict(zip(runs.BLOCKS, mean.T.round(2).tolist(), strict=True)))
+    assert np.all((low < mean) & (mean < high))
