@@ -86,7 +86,7 @@ def honest(name: str, duration_s: float, heading_deg: float = 30.0, **gnss: obje
 
 
 def errors(sim: Simulation, solution: Solution) -> F64:
-    """(N, 5, 3) truth − estimate of position [m], velocity, φ [rad], accelerometer and gyro bias."""
+    """(N, 5, 3) truth − estimate: position [m], velocity, φ [rad], both biases."""
     t = (solution.t_ns - sim.t0_ns) / NS
     truth = sim.trajectory.states(t)
     imu_t = sim.recording.imu[0].t_ns

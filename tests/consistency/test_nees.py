@@ -1,8 +1,8 @@
 """Errors against the covariance that was claimed, over seeds, in simulated flights and drives.
 
-Sensors have only the errors that the filter models and the configuration states their sizes, so the
-normalised estimation error squared (NEES) of each 3-vector is χ² with 3 degrees of freedom. Epochs of
-one run are correlated, runs are not: bounds are taken at each epoch over the seeds, two-sided 95 %
+Sensors have only the errors that the filter models, in the sizes that it is told, so the normalised
+estimation error squared (NEES) of each 3-vector is χ² with 3 degrees of freedom. Epochs of one
+run are correlated, runs are not: bounds are taken at each epoch over the seeds, two-sided 95 %
 for all epochs and blocks of a scenario together (Bonferroni).
 """
 
