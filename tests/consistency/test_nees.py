@@ -9,7 +9,6 @@ for all epochs and blocks of a scenario together (Bonferroni).
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from . import runs
 
@@ -40,14 +39,3 @@ def test_drive_with_heading_found_in_motion_does_not_claim_too_much() -> None:
     mean = _nees("car-with-stops", 65.0, times).mean(axis=0)
     print("NEES by epoch", dict(zip(runs.BLOCKS, mean.T.round(2).tolist(), strict=True)))
     assert np.all(mean < _bounds(len(times))[1])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("latency_ms", [0.0, 200.0])
-def test_fixed_wing_is_consistent(latency_ms: float) -> None:
-    times = (40.0, 60.0, 80.0)
-    nees = _nees("fixed-wing", 82.0, times, latency_ms=latency_ms)
-    mean = nees.mean(axis=0)
-    low, high = _bounds(len(times))
-    print("NEES by epoch", dict(zip(runs.BLOCKS, mean.T.round(2).tolist(), strict=True)))
-    assert np.all((low < mean) & (mean < high))
