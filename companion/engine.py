@@ -54,7 +54,9 @@ EARLY_MAG = 4
 CHUNK = 20_000
 """Inertial samples walked between two drains of the outputs: bounds memory, not results."""
 
-_GNSS_CHANNELS = np.array([0, 1, 2, 3, 6])
+_KIND_OF_CHANNEL = np.array([0, 0, 0, 0, 1, 2, 0, -1, -1, -1])
+"""Kind of aid (``walk.KIND_``) behind each channel; −1 for constraints."""
+_NEVER = np.iinfo(np.int64).min
 
 
 @dataclass(slots=True)
@@ -79,6 +81,11 @@ class Engine:
         self.counters = Counters()
         self._imu = SampleBuffer(7)
         self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
+        gnss = config.gnss
+        self._gnss_sd = np.array(
+            [*[gnss.sd_position_m] * 2, gnss.sd_height_m]
+            + [*[gnss.sd_velocity_mps] * 2, gnss.sd_velocity_down_mps]
+        )
         self._ring_ns = round(config.engine.delay_ring_s * NS)
         self._keep_imu_ns = self._ring_ns + round(config.alignment.window_s * NS) + 2 * NS
         self._axes = np.array(config.imu.axes, dtype=np.float64)
@@ -86,8 +93,8 @@ class Engine:
         self._sources: dict[str, dict[str, int]] = {}
         self._published_t = np.iinfo(np.int64).min
         self._said: dict[tuple[int, str], None] = {}
-        self._settled = hashlib.sha256()
-        self._published = hashlib.sha256()
+        self._settled = hashlib.blake2b(digest_size=32)
+        self._published = hashlib.blake2b(digest_size=32)
         self._refusals: list[AidingReports] = []
         self._last_fix: tuple[float, float, float] | None = None
         self._declination: float | None = None
@@ -106,7 +113,7 @@ class Engine:
             samples
         ):
             self._early_mag.append(samples)
-            return self._drain()
+            return _NOTHING
         if isinstance(samples, GnssSamples) and self._early_mag:
             self._note_place(samples)
             if self._last_fix is not None:
@@ -116,7 +123,8 @@ class Engine:
                     self._know_declination(mag)
                     self._step_aids(mag)
         self._step_aids(samples)
-        return self._drain()
+        # Rows walked again settle with the next inertial samples; what is new is said at once.
+        return Outputs(_NO_SOLUTION, _NO_SOLUTION, self._drain_reports(), self._drain_events(_NEVER))
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""
@@ -144,11 +152,16 @@ class Engine:
             rows[:, 3:6] = block.accel_b @ self._axes.T
         rows[:, 6] = np.where(block.interval_s > 0, block.interval_s, 0.0)
         self.counters.imu += len(t)
-        good = np.isfinite(rows[:, :6]).all(axis=1)
-        if not good.all():
+        if not np.isfinite(rows.sum()):
+            good = np.isfinite(rows[:, :6]).all(axis=1)
             self.counters.imu_not_finite += int(len(good) - good.sum())
             t, rows = t[good], rows[good]
         parts: list[Outputs] = []
+        head = self._head
+        if 0 < len(t) <= CHUNK and (head is None or t[0] > head) and (t[1:] > t[:-1]).all():
+            self._imu.append(t, rows)
+            self.filter.advance(self._imu, self._aids)
+            return self._drain()
         while len(t):
             head = self._head
             peak = np.maximum.accumulate(np.maximum(t, head)) if head is not None else (
@@ -235,12 +248,9 @@ class Engine:
         times = reports.t[mark : reports.end]
         rows = reports.rows[mark : reports.end]
         channel = rows[:, up.R_CHANNEL].astype(np.int64)
-        own = (
-            np.isin(channel, _GNSS_CHANNELS)
-            if kind == w.KIND_GNSS
-            else channel == (4 if kind == w.KIND_BARO else 5)
-        )
-        own &= (rows[:, up.R_SOURCE] == source) & np.isin(times, t)
+        own = _KIND_OF_CHANNEL[channel] == kind
+        own &= rows[:, up.R_SOURCE] == source
+        own &= (times == t[0]) if len(t) == 1 else np.isin(times, t)
         keep = own | (times > until)
         n = int(keep.sum())
         reports.t[mark : mark + n] = times[keep]
@@ -280,31 +290,20 @@ class Engine:
         cfg = self.config.gnss
         rows[:, 0], rows[:, 1], rows[:, 2] = g.lat, g.lon, g.height
         rows[:, 3:6] = g.vel_n
-        for columns, reported, configured in (
-            (slice(6, 9), g.sd_pos, (cfg.sd_position_m, cfg.sd_position_m, cfg.sd_height_m)),
-            (
-                slice(9, 12),
-                g.sd_vel,
-                (cfg.sd_velocity_mps, cfg.sd_velocity_mps, cfg.sd_velocity_down_mps),
-            ),
-        ):
-            base = np.broadcast_to(np.array(configured), reported.shape)
-            known = np.isfinite(reported) & (reported > 0)
-            if cfg.sd_reported == "ignore":
-                sd = base
-            elif cfg.sd_reported == "use":
-                sd = np.where(known, reported, base)
-            else:
-                sd = np.where(known, np.maximum(reported, base), base)
-            rows[:, columns] = sd * sd
-        with np.errstate(invalid="ignore"):
-            no_fix = g.fix_type < cfg.min_fix_type
-            no_fix |= g.sd_pos[:, :2].max(axis=1) > cfg.max_sd_position_m
-            broken = ~np.isfinite(rows[:, :3]).all(axis=1)
-            broken |= (np.abs(g.lat) > 1.5533) | (np.abs(g.lon) > 6.2832)
-            broken |= (g.lat == 0) & (g.lon == 0)
-            broken |= (g.height < -1000) | (g.height > 100_000)
-            broken |= np.abs(np.nan_to_num(g.vel_n)).max(axis=1) > 1000
+        sd = np.concatenate((g.sd_pos, g.sd_vel), axis=1)
+        if cfg.sd_reported == "ignore":
+            sd = np.broadcast_to(self._gnss_sd, sd.shape)
+        elif cfg.sd_reported == "use":
+            sd = np.where(sd > 0, sd, self._gnss_sd)
+        else:
+            sd = np.fmax(sd, self._gnss_sd)  # where a report is missing, the configured one
+        rows[:, 6:12] = sd * sd
+        no_fix = (g.fix_type < cfg.min_fix_type) | (g.sd_pos[:, 0] > cfg.max_sd_position_m)
+        no_fix |= g.sd_pos[:, 1] > cfg.max_sd_position_m
+        # Written so that NaN counts as broken.
+        sane = (np.abs(g.lat) < 1.5533) & (np.abs(g.lon) < 6.2832)
+        sane &= (g.height > -1000) & (g.height < 100_000) & ((g.lat != 0) | (g.lon != 0))
+        broken = ~sane | (np.abs(g.vel_n) > 1000).any(axis=1)
         verdict[broken] = Verdict.REFUSED_INVALID
         verdict[no_fix] = Verdict.REFUSED_NO_FIX
         if not cfg.velocity:
@@ -377,7 +376,7 @@ class Engine:
         if head is not None:
             self._imu.forget(head - self._keep_imu_ns)
             self._aids.forget(head - self._ring_ns - KEEP_NS)
-        if len(self._aids):
+        if len(self._aids) > 1:
             self._aids.forget(int(self._aids.t[self._aids.end - 1]) - WAITING_NS)
         return Outputs(published, settled, reports, events)
 
@@ -421,6 +420,7 @@ class Engine:
 
 _NO_REPORTS = AidingReports.empty()
 _NO_SOLUTION = Solution.empty()
+_NOTHING = Outputs(_NO_SOLUTION, _NO_SOLUTION, _NO_REPORTS, ())
 
 
 def _solution(t: I64, r: F64) -> Solution:
@@ -442,7 +442,7 @@ def _solution(t: I64, r: F64) -> Solution:
     )
 
 
-def _hash_rows(digest: hashlib._Hash, t: I64, rows: F64) -> None:
+def _hash_rows(digest: hashlib.blake2b, t: I64, rows: F64) -> None:
     """Feed epochs to a digest, each as its time and its row, however many come at once."""
     block = np.empty((len(t), 1 + w.ROW_SIZE))
     block[:, 0] = t.view(np.float64)

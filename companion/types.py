@@ -14,8 +14,9 @@ Conventions (the contract of the whole project)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
+from functools import cache
 from typing import Literal, Self
 
 import numpy as np
@@ -50,6 +51,12 @@ class ImuTooSlowError(LogFormatError):
 # --------------------------------------------------------------------------- samples
 
 
+@cache
+def _columns(kind: type[Samples]) -> tuple[str, ...]:
+    """Names of the array columns of a kind of samples, in order: all fields but the source."""
+    return tuple(f.name for f in fields(kind))[1:]
+
+
 @dataclass(frozen=True, slots=True)
 class Samples:
     """Columns shared by every sensor; all arrays have the same first dimension N."""
@@ -68,12 +75,7 @@ class Samples:
 
     def take(self, index: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Self:
         """The same columns, restricted to the rows of ``index``."""
-        cut = {
-            f.name: getattr(self, f.name)[index]
-            for f in fields(self)
-            if isinstance(getattr(self, f.name), np.ndarray)
-        }
-        return replace(self, **cut)
+        return type(self)(self.source, *[getattr(self, n)[index] for n in _columns(type(self))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,9 +267,9 @@ class Solution:
         """Join in order; empty for an empty list."""
         if not parts:
             return cls.empty()
-        return cls(
-            *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls))  # type: ignore[arg-type]
-        )
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
 
 class Channel(IntEnum):
@@ -340,9 +342,9 @@ class AidingReports:
         """Join in order; empty for an empty list."""
         if not parts:
             return cls.empty()
-        return cls(
-            *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls))  # type: ignore[arg-type]
-        )
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,11 +66,12 @@ class SampleBuffer:
 
     def after(self, t: int) -> int:
         """Index of the first entry later than ``t``."""
-        return self.start + int(np.searchsorted(self.t[self.start : self.end], t, side="right"))
+        return self.start + int(self.t[self.start : self.end].searchsorted(t, side="right"))
 
     def forget(self, before: int) -> None:
         """Drop entries older than ``before``."""
-        self.start += int(np.searchsorted(self.t[self.start : self.end], before, side="left"))
+        if self.end > self.start and self.t[self.start] < before:
+            self.start += int(self.t[self.start : self.end].searchsorted(before, side="left"))
 
     def clear(self) -> None:
         self.start = self.end = 0

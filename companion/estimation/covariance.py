@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 from companion.estimation.parameters import (
@@ -27,12 +26,11 @@ from companion.estimation.parameters import (
     GYRO_PSD,
     VIBRATION_GAIN,
 )
-from companion.navigation.error_model import COLUMNS, transition_blocks
+from companion.navigation.error_model import transition_blocks
 from companion.navigation.layout import (
     ACCEL_BIAS,
     ACCEL_BIAS_B,
     ATT,
-    BARO_BIAS,
     DX,
     GNSS_BIAS,
     GYRO_BIAS,
@@ -52,17 +50,52 @@ from companion.navigation.layout import (
 from companion.navigation.layout import P as P_OFFSET
 from companion.types import F64, I64
 
-USED = np.array(
-    [[1, 1, 1, 1, 1, 1, 1, 0], [1, 1, 1, 1, 1, 1, 1, 0], [0, 1, 1, 0, 1, 0, 1, 0]], np.int64
-)
-"""Which blocks of Φ's rows p, v, φ exist."""
+@njit("void(f8[:, :, ::1], i8, i8, f8[:, ::1], i8, f8[:, ::1])", cache=True)
+def apply_transition(B: F64, i_sa: int, i_sg: int, X: F64, cols: int, Y: F64) -> None:
+    """``Y[:9]`` ← rows p, v, φ of Φ times ``X`` (n, ≥ ``cols``), by the blocks that exist.
 
-
-@njit("void(i8[::1], i8[::1])", cache=True)
-def _column_offsets(lay: I64, off: I64) -> None:
-    """Error-state index of each block column; −1 where the layout has none."""
-    off[0], off[1], off[2], off[3], off[4] = POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS
-    off[5], off[6], off[7] = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], -1
+    One pass over the columns for each row of Φ, its coefficients in locals: the compiler turns the
+    inner loops into vector code. ``i_sa``, ``i_sg``: scale-factor states or −1.
+    """
+    for i in range(3):
+        a0, a1, a2, T = B[0, i, 0], B[0, i, 1], B[0, i, 2], B[1, i, i]
+        b0, b1, b2 = B[2, i, 0], B[2, i, 1], B[2, i, 2]
+        c0, c1, c2 = B[3, i, 0], B[3, i, 1], B[3, i, 2]
+        d0, d1, d2 = B[4, i, 0], B[4, i, 1], B[4, i, 2]
+        for j in range(cols):
+            Y[i, j] = (
+                (a0 * X[0, j] + a1 * X[1, j] + a2 * X[2, j] + T * X[3 + i, j])
+                + (b0 * X[6, j] + b1 * X[7, j] + b2 * X[8, j])
+                + (c0 * X[9, j] + c1 * X[10, j] + c2 * X[11, j])
+                + (d0 * X[12, j] + d1 * X[13, j] + d2 * X[14, j])
+            )
+        a0, a1, a2, g = B[9, i, 0], B[9, i, 1], B[9, i, 2], B[8, i, 2]
+        b0, b1, b2 = B[10, i, 0], B[10, i, 1], B[10, i, 2]
+        c0, c1, c2 = B[11, i, 0], B[11, i, 1], B[11, i, 2]
+        d0, d1, d2 = B[12, i, 0], B[12, i, 1], B[12, i, 2]
+        for j in range(cols):
+            Y[3 + i, j] = (
+                (g * X[2, j] + a0 * X[3, j] + a1 * X[4, j] + a2 * X[5, j])
+                + (b0 * X[6, j] + b1 * X[7, j] + b2 * X[8, j])
+                + (c0 * X[9, j] + c1 * X[10, j] + c2 * X[11, j])
+                + (d0 * X[12, j] + d1 * X[13, j] + d2 * X[14, j])
+            )
+        a0, a1, a2 = B[17, i, 0], B[17, i, 1], B[17, i, 2]
+        b0, b1, b2 = B[18, i, 0], B[18, i, 1], B[18, i, 2]
+        d0, d1, d2 = B[20, i, 0], B[20, i, 1], B[20, i, 2]
+        for j in range(cols):
+            Y[6 + i, j] = (
+                (a0 * X[3, j] + a1 * X[4, j] + a2 * X[5, j])
+                + (b0 * X[6, j] + b1 * X[7, j] + b2 * X[8, j])
+                + (d0 * X[12, j] + d1 * X[13, j] + d2 * X[14, j])
+            )
+    for at, row, block in ((i_sa, 0, 5), (i_sa, 3, 13), (i_sg, 0, 6), (i_sg, 3, 14), (i_sg, 6, 22)):
+        if at >= 0:
+            for i in range(3):
+                for k in range(3):
+                    c = B[block, i, k]
+                    for j in range(cols):
+                        Y[row + i, j] += c * X[at + k, j]
 
 
 @njit("void(f8[::1], i8[::1], f8[::1])", cache=True)
@@ -110,7 +143,7 @@ def _decay_and_noise(s: F64, lay: I64, par: F64) -> None:
 def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
     """Close the running interval: P ← Φ P Φᵀ + Q in ``s``, and clear the sums.
 
-    ``B`` (24, 3, 3) and ``W`` (2 n, n) are scratch. False when the state or a variance is no longer
+    ``B`` (24, 3, 3) and ``W`` (n + 9, n) are scratch. False when the state or a variance is no longer
     finite and positive. In feedforward mode the carried error moves on by the same Φ.
     """
     T = s[SUM_T]
@@ -118,60 +151,25 @@ def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
         return True
     n = lay[L_N]
     P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
-    off = np.empty(8, np.int64)
-    _column_offsets(lay, off)
+    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
     transition_blocks(s, B)
-    A = W[:9]
-    At = W[9 : 9 + n]
-    A[:, :] = 0.0
-    for r in range(3):
-        for c in range(7):
-            if USED[r, c] == 0 or off[c] < 0:
-                continue
-            b = B[COLUMNS * r + c]
-            for i in range(3):
-                for k in range(3):
-                    x = b[i, k]
-                    if x != 0.0:
-                        row = off[c] + k
-                        for j in range(n):
-                            A[3 * r + i, j] += x * P[row, j]
+    X, Y = W[:n], W[n : n + 9]
+    apply_transition(B, i_sa, i_sg, P, n, Y)
     for i in range(9):
         for j in range(n):
-            At[j, i] = A[i, j]
-    for i in range(9):
+            X[j, i] = Y[i, j]
         for j in range(9, n):
-            P[i, j] = A[i, j]
-            P[j, i] = A[i, j]
-        for j in range(9):
-            P[i, j] = 0.0
-    for r in range(3):
-        for c in range(7):
-            if USED[r, c] == 0 or off[c] < 0:
-                continue
-            b = B[COLUMNS * r + c]
-            for i in range(3):
-                for k in range(3):
-                    x = b[i, k]
-                    if x != 0.0:
-                        row = off[c] + k
-                        for j in range(9):
-                            P[3 * r + i, j] += x * At[row, j]
+            P[i, j] = Y[i, j]
+            P[j, i] = Y[i, j]
+    for j in range(n):
+        X[j, 9] = s[DX + j]
+    apply_transition(B, i_sa, i_sg, X, 10, Y)
     # Both halves were summed in different orders: one of them is kept, so P is symmetric to the bit.
     for i in range(9):
-        for j in range(i):
-            P[i, j] = P[j, i]
-    dx = A[0]
-    for i in range(9):
-        dx[i] = 0.0
-    for r in range(3):
-        for c in range(7):
-            if USED[r, c] == 1 and off[c] >= 0:
-                for i in range(3):
-                    for k in range(3):
-                        dx[3 * r + i] += B[COLUMNS * r + c, i, k] * s[DX + off[c] + k]
-    for i in range(9):
-        s[DX + i] = dx[i]
+        s[DX + i] = Y[i, 9]
+        for j in range(i, 9):
+            P[i, j] = Y[i, j]
+            P[j, i] = Y[i, j]
     _decay_and_noise(s, lay, par)
     for i in range(SUM_T, SUM_XA + 1):
         s[i] = 0.0

@@ -138,8 +138,7 @@ class ErrorStateFilter:
         phase.reached = min(phase.reached, t - 1)
         imu_time = self.now[0]
         phase.checks = [c for c in phase.checks if c.t_ns <= imu_time] or phase.checks[:1]
-        keep = int(np.searchsorted(self.rows.t[self.rows.start : self.rows.end], imu_time, "right"))
-        self.rows.end = self.rows.start + keep
+        self.rows.end = self.rows.after(imu_time)
         self.events = [e for e in self.events if e.t_ns <= imu_time]
 
     # ------------------------------------------------------------------ walking
@@ -159,11 +158,7 @@ class ErrorStateFilter:
             cell = t_imu // CHECK_NS
             if int(imu.t[i]) // CHECK_NS != cell and self._decide(phase, t_imu, aids):
                 continue
-            stop = imu.start + int(
-                np.searchsorted(
-                    imu.t[imu.start : imu.end], (int(imu.t[i]) // CHECK_NS + 1) * CHECK_NS
-                )
-            )
+            stop = imu.after((int(imu.t[i]) // CHECK_NS + 1) * CHECK_NS - 1)
             code = self._walk(phase, imu, aids, i, max(stop, i + 1), j)
             if code == w.STOP_GAP:
                 t_imu = self.now[0]

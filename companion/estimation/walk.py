@@ -51,6 +51,7 @@ from companion.navigation.layout import (
     GNSS_SPEED_SD,
     HAVE_IMU,
     HEIGHT,
+    L_ACCEL_SCALE,
     L_N,
     LAST_GYRO,
     LAT,
@@ -304,9 +305,9 @@ def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> None
     row[O_RESETS] = k[RESETS]
 
 
-@njit("void(f8[::1], i8[::1], f8[::1], f8[::1], i8, i8, f8[::1], f8[:, ::1])", cache=True)
+@njit("void(f8[::1], i8[::1], b1, f8[::1], f8[::1], i8, i8, f8[::1], f8[:, ::1])", cache=True)
 def _step(
-    s: F64, k: I64, par: F64, sample: F64, t: int, t_sample: int, at: F64, C: F64
+    s: F64, k: I64, scale: bool, par: F64, sample: F64, t: int, t_sample: int, at: F64, C: F64
 ) -> None:
     """Strapdown from now to ``t``, at or before the sample's time ``t_sample``."""
     span = t_sample - k[T_NOW]
@@ -318,7 +319,7 @@ def _step(
     fraction = 1.0 if t == t_sample or integral else (t - k[T_NOW]) / span
     for i in range(6):
         at[i] = sample[i] if fraction == 1.0 else first[i] + (sample[i] - first[i]) * fraction
-    advance(s, first, at, dt, integral, C)
+    advance(s, first, at, dt, integral, scale, C)
     whole = (t_sample - k[T_IMU]) * 1e-9
     if whole > par[BRIDGED_DT]:
         s[SUM_XV] += BRIDGE_ACCEL_VAR * whole * dt
@@ -370,6 +371,7 @@ def walk(
     mixed = np.empty(6)
     i, j, n_rows, n_reports = at[0], at[2], at[4], at[5]
     code = DONE
+    scale = lay[L_ACCEL_SCALE] >= 0
     while i < at[1]:
         t = imu_t[i]
         sample = imu[i]
@@ -382,14 +384,14 @@ def walk(
             k[HAVE_IMU] = 1
         healthy = True
         while j < at[3] and aid_t[j] <= t:
-            _step(s, k, par, sample, aid_t[j], t, mixed, C)
+            _step(s, k, scale, par, sample, aid_t[j], t, mixed, C)
             healthy = propagate(s, lay, par, B, W) and healthy
             n_reports = fuse_aid(
                 s, k, lay, par, ipar, aid_kind[j], aid[j], aid_t[j], C, H, W,
                 reports_t, reports, n_reports,
             )  # fmt: skip
             j += 1
-        _step(s, k, par, sample, t, t, mixed, C)
+        _step(s, k, scale, par, sample, t, t, mixed, C)
         for c in range(6):
             s[LAST_GYRO + c] = sample[c]
         k[T_IMU] = t

@@ -43,15 +43,20 @@ def radii(lat: float) -> tuple[float, float]:
 
 
 @njit("f8(f8, f8)", cache=True)
-def gravity(lat: float, height: float) -> float:
-    """Normal gravity, positive down [m/s²], at ``lat`` [rad] and ``height`` [m].
+def gravity_at(sin2_lat: float, height: float) -> float:
+    """Normal gravity, positive down [m/s²], from the squared sine of latitude and ``height`` [m].
 
     Somigliana on the ellipsoid with the second-order height term; Groves eqs 2.134, 2.139.
     """
-    s2 = math.sin(lat) ** 2
-    g0 = GAMMA_EQUATOR * (1.0 + SOMIGLIANA_K * s2) / math.sqrt(1.0 - E2 * s2)
+    g0 = GAMMA_EQUATOR * (1.0 + SOMIGLIANA_K * sin2_lat) / math.sqrt(1.0 - E2 * sin2_lat)
     up = height / A
-    return g0 * (1.0 - 2.0 * up * (1.0 + F + GRAVITY_M - 2.0 * F * s2) + 3.0 * up * up)
+    return g0 * (1.0 - 2.0 * up * (1.0 + F + GRAVITY_M - 2.0 * F * sin2_lat) + 3.0 * up * up)
+
+
+@njit("f8(f8, f8)", cache=True)
+def gravity(lat: float, height: float) -> float:
+    """Normal gravity, positive down [m/s²], at ``lat`` [rad] and ``height`` [m]."""
+    return gravity_at(math.sin(lat) ** 2, height)
 
 
 @njit("f8(f8, f8)", cache=True)

@@ -16,7 +16,7 @@ import math
 
 from numba import njit
 
-from companion.navigation.earth import gravity, radii
+from companion.navigation.earth import A, E2, gravity_at
 from companion.navigation.layout import (
     ACCEL_BIAS_B,
     ACCEL_SCALE_B,
@@ -38,13 +38,13 @@ from companion.navigation.rotation import quat_to_matrix, rotate_body, rotate_na
 from companion.types import F64
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], f8, b1, f8[:, ::1])", cache=True)
-def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, C: F64) -> None:
+@njit("void(f8[::1], f8[::1], f8[::1], f8, b1, b1, f8[:, ::1])", cache=True)
+def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, scale: bool, C: F64) -> None:
     """Move the nominal state in ``s`` on by one inertial interval and add to the interval sums.
 
     ``first``, ``last`` (6,): rate [rad/s] and specific force [m/s²] at the two ends of the
     interval of ``dt`` [s]; ``integral``: ``last`` is the mean over the interval and ``first`` the
-    mean over the one before it. ``C`` (3, 3) is scratch; on return it holds C_nb at the end.
+    mean over the one before it. ``scale``: also sum what scale-factor states need. ``C`` (3, 3) is scratch; on return it holds C_nb at the end.
 
     Increments: linear rate between samples gives Δθ = ½(ω₀ + ω₁) dt, and in both cases the coning
     term is ω₀ × ω₁ dt²/12 and the sculling term (ω₀ × f₁ + f₀ × ω₁) dt²/12.
@@ -92,16 +92,17 @@ def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, C: F64) ->
 
     lat, height = s[LAT], s[HEIGHT]
     vn, ve, vd = s[VEL_N], s[VEL_N + 1], s[VEL_N + 2]
-    m, n = radii(lat)
-    m += height
-    n += height
     sin_lat, cos_lat = math.sin(lat), math.cos(lat)
+    w2 = 1.0 - E2 * sin_lat * sin_lat
+    n = A / math.sqrt(w2)
+    m = n * (1.0 - E2) / w2 + height
+    n += height
     # Latitude at mid-interval: rates taken at its start cost 0.1 m in half an hour at 200 m/s.
     to_mid = 0.5 * vn * dt / m
     sin_lat, cos_lat = sin_lat + to_mid * cos_lat, cos_lat - to_mid * sin_lat
     tan_lat = sin_lat / cos_lat
     iex, iez = s[EARTH_RATE] * cos_lat, -s[EARTH_RATE] * sin_lat
-    g = gravity(lat, height)
+    g = gravity_at(sin_lat * sin_lat, height - 0.5 * vd * dt)
 
     # Velocity at mid-interval for Coriolis and transport: makes the step symmetric in time.
     enx, eny, enz = ve / n, -vn / m, -ve / n * tan_lat
@@ -119,14 +120,13 @@ def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, C: F64) ->
     fz = uz - h * (inx * uy - iny * ux)
     vn1 = vn + fx - (cy * md - cz * me) * dt
     ve1 = ve + fy - (cz * mn - cx * md) * dt
-    vd1 = vd + fz + (gravity(lat + to_mid, height - 0.5 * vd * dt) - (cx * me - cy * mn)) * dt
+    vd1 = vd + fz + (g - (cx * me - cy * mn)) * dt
 
     # position by the mean velocity, with the radii and cosine at mid-interval
     mn, me, md = 0.5 * (vn + vn1), 0.5 * (ve + ve1), 0.5 * (vd + vd1)
     up = -md * h
-    dlat = mn * dt / (m + up)
-    s[LAT] = lat + dlat
-    s[LON] += me * dt / ((n + up) * math.cos(lat + 0.5 * dlat))
+    s[LAT] = lat + mn * dt / (m + up)
+    s[LON] += me * dt / ((n + up) * cos_lat)
     s[HEIGHT] = height - md * dt
     s[VEL_N], s[VEL_N + 1], s[VEL_N + 2] = vn1, ve1, vd1
 
@@ -146,9 +146,10 @@ def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, C: F64) ->
         s[SUM_C + 3 * i] += c0 * dt
         s[SUM_C + 3 * i + 1] += c1 * dt
         s[SUM_C + 3 * i + 2] += c2 * dt
-        s[SUM_CF + 3 * i] += c0 * ax
-        s[SUM_CF + 3 * i + 1] += c1 * ay
-        s[SUM_CF + 3 * i + 2] += c2 * az
-        s[SUM_CW + 3 * i] += c0 * wx
-        s[SUM_CW + 3 * i + 1] += c1 * wy
-        s[SUM_CW + 3 * i + 2] += c2 * wz
+        if scale:
+            s[SUM_CF + 3 * i] += c0 * ax
+            s[SUM_CF + 3 * i + 1] += c1 * ay
+            s[SUM_CF + 3 * i + 2] += c2 * az
+            s[SUM_CW + 3 * i] += c0 * wx
+            s[SUM_CW + 3 * i + 1] += c1 * wy
+            s[SUM_CW + 3 * i + 2] += c2 * wz

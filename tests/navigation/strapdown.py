@@ -37,7 +37,7 @@ def steps(s: F64, imu: F64, dt: float, integral: bool) -> None:
     """``advance`` over the intervals between the rows of ``imu`` (N, 6)."""
     C = np.empty((3, 3))
     for i in range(imu.shape[0] - 1):
-        advance(s, imu[i], imu[i + 1], dt, integral, C)
+        advance(s, imu[i], imu[i + 1], dt, integral, True, C)
 
 
 def metres(s: F64, lat: float, lon: float, height: float) -> F64:
