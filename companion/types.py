@@ -75,7 +75,9 @@ class Samples:
 
     def take(self, index: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Self:
         """The same columns, restricted to the rows of ``index``."""
-        return type(self)(self.source, *[getattr(self, n)[index] for n in _columns(type(self))])
+        # As `object`: mypy takes the __hash__ of a frozen dataclass's instances for its class's.
+        kind: object = type(self)
+        return type(self)(self.source, *[getattr(self, n)[index] for n in _columns(kind)])
 
 
 @dataclass(frozen=True, slots=True)
