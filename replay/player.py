@@ -44,9 +44,7 @@ def choose_imu(vehicle: VehicleRecording, config: Config) -> ImuSamples:
 
 def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples]:
     """The aiding streams in use: the best of each kind, or the GNSS receiver that is named."""
-    gnss = [
-        g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)
-    ]
+    gnss = [g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)]
     if vehicle.gnss and not gnss:
         names = ", ".join(g.source for g in vehicle.gnss)
         raise LogFormatError(f"no GNSS stream '{config.gnss.source}' in the log; it has {names}")
@@ -58,14 +56,16 @@ def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples
 def thinned(samples: MagSamples, rate_hz: float) -> MagSamples:
     """One sample per period: telemetry repeats a slow sensor's value at the rate of the message."""
     cell = samples.t_ns // round(NS / rate_hz)
-    return samples.take(np.concatenate([[True], cell[1:] != cell[:-1]]) if len(cell) else cell == 0)
+    first = np.ones(len(cell), np.bool_)
+    first[1:] = cell[1:] != cell[:-1]
+    return samples.take(first)
 
 
 def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
     """Blocks in order of arrival.
 
-    An aiding sample that arrives before the IMU has reached its time of validity may be handed over at any
-    moment up to then; only one that arrives behind it must come exactly at its place.
+    An aiding sample that arrives before the IMU has reached its time of validity may be handed over
+    at any moment up to then; only one that arrives behind it must come exactly at its place.
     """
     imu = choose_imu(vehicle, config)
     streams = choose_aids(vehicle, config)
@@ -83,8 +83,8 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
         valid = stream.t_ns - latency[type(stream).__name__]
         late = (place > 0) & (peak[np.maximum(place - 1, 0)] >= valid)
         queue += [
-            (int(q), index, m, bool(x))
-            for m, (q, x) in enumerate(zip(stream.seq, late, strict=True))
+            (q, index, m, x)
+            for m, (q, x) in enumerate(zip(stream.seq.tolist(), late.tolist(), strict=True))
         ]
     queue.sort()
     places = np.searchsorted(imu.seq, np.array([q for q, *_ in queue], np.int64))
@@ -92,14 +92,14 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
     block = max(1, int(BLOCK_S * NS / max(step, 1)))
     sent = 0
     pending: list[tuple[int, int]] = []
-    for (_, index, m, late), place in zip(queue, places.tolist(), strict=True):
-        while place - sent > block or (late and place > sent):
+    for (_, index, m, behind), place in zip(queue, places.tolist(), strict=True):
+        while place - sent > block or (behind and place > sent):
             yield from _aids(streams, pending)
             stop = min(place, sent + block)
             yield imu.take(slice(sent, stop))
             sent = stop
         pending.append((index, m))
-        if late:
+        if behind:
             yield from _aids(streams, pending)
     while sent < len(imu):
         yield from _aids(streams, pending)
@@ -108,9 +108,7 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
     yield from _aids(streams, pending)
 
 
-def _aids(
-    streams: list[AidingSamples], pending: list[tuple[int, int]]
-) -> Iterator[AidingSamples]:
+def _aids(streams: list[AidingSamples], pending: list[tuple[int, int]]) -> Iterator[AidingSamples]:
     """Hand over pending aids, each stream's consecutive ones as a block, and clear the list."""
     by_stream: dict[int, list[int]] = {}
     for index, m in pending:

@@ -15,4 +15,4 @@ from companion.types import F64
 @njit("f8(f8[::1], i8)", cache=True)
 def scale_of(s: F64, channel: int) -> float:
     """Factor on the measurement variance of ``channel`` in force."""
-    return s[R_SCALE + channel]
+    return float(s[R_SCALE + channel])

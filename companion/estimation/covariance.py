@@ -50,6 +50,7 @@ from companion.navigation.layout import (
 from companion.navigation.layout import P as P_OFFSET
 from companion.types import F64, I64
 
+
 @njit("void(f8[:, :, ::1], i8, i8, f8[:, ::1], i8, f8[:, ::1])", cache=True)
 def apply_transition(B: F64, i_sa: int, i_sg: int, X: F64, cols: int, Y: F64) -> None:
     """``Y[:9]`` ← rows p, v, φ of Φ times ``X`` (n, ≥ ``cols``), by the blocks that exist.
@@ -143,8 +144,8 @@ def _decay_and_noise(s: F64, lay: I64, par: F64) -> None:
 def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
     """Close the running interval: P ← Φ P Φᵀ + Q in ``s``, and clear the sums.
 
-    ``B`` (24, 3, 3) and ``W`` (n + 9, n) are scratch. False when the state or a variance is no longer
-    finite and positive. In feedforward mode the carried error moves on by the same Φ.
+    ``B`` (24, 3, 3) and ``W`` (n + 9, n) are scratch. False when the state or a variance is no
+    longer finite and positive. In feedforward mode the carried error moves on by the same Φ.
     """
     T = s[SUM_T]
     if T <= 0.0:
@@ -164,7 +165,7 @@ def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
     for j in range(n):
         X[j, 9] = s[DX + j]
     apply_transition(B, i_sa, i_sg, X, 10, Y)
-    # Both halves were summed in different orders: one of them is kept, so P is symmetric to the bit.
+    # Both halves were summed in different orders: one is kept, so P is symmetric to the bit.
     for i in range(9):
         s[DX + i] = Y[i, 9]
         for j in range(i, 9):

@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from companion.config import DEG, Config
 from companion.navigation.layout import Layout
-from companion.types import NS, F64, I64
+from companion.types import F64, I64, NS
 
 (
     ACCEL_PSD,  # [(m/s²)²/Hz]
@@ -135,4 +135,3 @@ def initial_variances(config: Config, lay: Layout) -> F64:
         v[lay.gnss : lay.gnss + 2] = config.gnss.slow_error_sd_m**2
         v[lay.gnss + 2] = config.gnss.slow_error_height_sd_m**2
     return v
-

@@ -1,7 +1,7 @@
 """GNSS position and velocity of the antenna, lever arm included.
 
-Position: z = p + C_nb l + b_slow;  velocity: z = v + C_nb (ω_ib × l). Earth rate in ω_eb = ω_ib − ω_ie is left
-out of the lever term: 7e-5 m/s for a metre. Groves 2013, section 14.3.2.
+Position: z = p + C_nb l + b_slow;  velocity: z = v + C_nb (ω_ib × l). Earth rate in
+ω_eb = ω_ib − ω_ie is left out of the lever term: 7e-5 m/s for a metre. Groves 2013, section 14.3.2.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Magnetometer: declination from the World Magnetic Model, heading from the horizontal field.
 
-Only the direction of the horizontal field is used: it is what hard-iron calibration leaves good, and a
-wrong dip or strength then does not tilt the solution.
+Only the direction of the horizontal field is used: it is what hard-iron calibration leaves good,
+and a wrong dip or strength then does not tilt the solution.
 """
 
 from __future__ import annotations
@@ -10,6 +10,14 @@ import datetime as dt
 import math
 
 from companion.types import NS
+
+_MODELS = (
+    (2025, "WMM_2025.COF"),
+    (2020, "WMM_2020.COF"),
+    (2015, "WMM_2015v2.COF"),
+    (2010, "WMM_2010.COF"),
+)
+"""First year of validity, of five, and file."""
 
 
 def declination(lat: float, lon: float, height: float, t_ns: int) -> float:
@@ -22,8 +30,8 @@ def declination(lat: float, lon: float, height: float, t_ns: int) -> float:
 
     when = dt.datetime.fromtimestamp(t_ns / NS, tz=dt.UTC)
     year = when.year + (when.timetuple().tm_yday - 1) / 365.25
-    model = "WMM_2025.COF"
-    for first, name in ((2025, "WMM_2025.COF"), (2020, "WMM_2020.COF"), (2015, "WMM_2015v2.COF"), (2010, "WMM_2010.COF")):
+    model = _MODELS[0][1]
+    for first, name in _MODELS:
         if first <= year < first + 5:
             model = name
             break

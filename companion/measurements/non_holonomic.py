@@ -22,9 +22,7 @@ from companion.types import F64, I64
 
 
 @njit("void(f8[::1], i8[::1], f8[:, ::1], f8, f8, f8, f8[:, ::1], f8[::1])", cache=True)
-def sideways(
-    s: F64, lay: I64, C: F64, lx: float, ly: float, lz: float, H: F64, y: F64
-) -> None:
+def sideways(s: F64, lay: I64, C: F64, lx: float, ly: float, lz: float, H: F64, y: F64) -> None:
     """Fill ``y[:2]`` [m/s] (right, down) and rows 0, 1 of ``H``; lever (lx, ly, lz) IMU to axle."""
     vn, ve, vd = s[VEL_N], s[VEL_N + 1], s[VEL_N + 2]
     wx = s[LAST_GYRO] * (1.0 - s[GYRO_SCALE_B]) - s[GYRO_BIAS_B]

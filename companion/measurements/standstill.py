@@ -1,8 +1,8 @@
 """Zero velocity and zero rate, and the detector that says when they hold.
 
 A vehicle stands when the means of specific force and rate over four consecutive quarters of the
-window agree, the spread inside each is no more than what was seen at rest before, and no
-recent GNSS velocity says otherwise. The spread at rest is learned while GNSS itself says that there is no
+window agree, the spread inside each is no more than what was seen at rest before, and no recent
+GNSS velocity says otherwise. The spread at rest is learned while GNSS itself says that there is no
 motion: an engine at idle or a rotor on the ground sets its own measure, and a smooth cruise, which
 means alone cannot tell from rest, shows more of it. Nothing learned and no GNSS: never standing.
 """
@@ -85,8 +85,8 @@ def observe(
     """Take in one inertial sample (≥ 6,); at the end of a quarter window, decide.
 
     Sets ``k[STANDING]`` to 1 (standing), 0 (moving) and to 2 + that at the sample which
-    closed a quarter, so that the walker applies the updates once a quarter. ``gyro``, ``accel``: largest spread of the means;
-    ``speed``: fastest GNSS speed that counts as none.
+    closed a quarter, so that the walker applies the updates once a quarter. ``gyro``, ``accel``:
+    largest spread of the means; ``speed``: fastest GNSS speed that counts as none.
     """
     cell = t // quarter_ns
     k[STANDING] &= 1
@@ -126,7 +126,7 @@ def zero_velocity(s: F64, lay: I64, H: F64, y: F64) -> None:
 
 @njit("void(f8[::1], i8[::1], i8[::1], f8[:, ::1], f8[:, ::1], f8[::1])", cache=True)
 def zero_rate(s: F64, k: I64, lay: I64, C: F64, H: F64, y: F64) -> None:
-    """Fill ``y`` (3,) [rad/s] and ``H`` (3, n): the last quarter's mean rate is bias plus Earth rate."""
+    """The last quarter's mean rate is bias plus Earth rate: ``y`` (3,) [rad/s] and ``H`` (3, n)."""
     slot = STILL_RING + 12 * ((k[STILL_COUNT] - 1) % STILL_SUB)
     north, down = s[EARTH_RATE] * math.cos(s[LAT]), -s[EARTH_RATE] * math.sin(s[LAT])
     for i in range(3):

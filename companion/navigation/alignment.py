@@ -1,8 +1,8 @@
 """Alignment: level from specific force, gyro bias from standstill, and how sure both are.
 
-Levelling takes the mean specific force for the reaction to gravity: C_nb f̄ = (0, 0, −g). An accelerometer bias
-then tilts the solution by φ = (b_E, −b_N) / g; that correlation is kept in P, because it decides how well the
-bias is found later.
+Levelling takes the mean specific force for the reaction to gravity: C_nb f̄ = (0, 0, −g). An
+accelerometer bias then tilts the solution by φ = (b_E, −b_N) / g; that correlation is kept in P,
+because it decides how well the bias is found later.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def level(
 ) -> Level:
     """Level on a window of samples: ``t_ns`` (N,), ``imu`` (N, ≥ 6) rate and specific force.
 
-    Static when the means over four quarters of the window agree within ``spread_gyro`` [rad/s] and ``spread_accel``
-    [m/s²] and nothing else (``may_be_static``) speaks against it.
+    Static when the means over four quarters of the window agree within ``spread_gyro`` [rad/s] and
+    ``spread_accel`` [m/s²] and nothing else (``may_be_static``) speaks against it.
     """
     mean = imu[:, :6].mean(axis=0)
     quarters = np.array([part[:, :6].mean(axis=0) for part in np.array_split(imu, 4)])

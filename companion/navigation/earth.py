@@ -79,9 +79,7 @@ def transport_rate_n(lat: float, height: float, vel_n: F64) -> F64:
     return np.array([east, -vel_n[0] / (m + height), -east * math.tan(lat)])
 
 
-def ned_difference(
-    lat: F64, lon: F64, height: F64, lat0: F64, lon0: F64, height0: F64
-) -> F64:
+def ned_difference(lat: F64, lon: F64, height: F64, lat0: F64, lon0: F64, height0: F64) -> F64:
     """Small position difference (N, 3) in metres NED: (lat, lon, height) − (lat0, lon0, height0).
 
     First order in the angles, at the radii of ``lat0``; good to 1 mm within 1 km.
@@ -102,6 +100,10 @@ def ecef(lat: F64, lon: F64, height: F64) -> F64:
     s, c = np.sin(lat), np.cos(lat)
     n = A / np.sqrt(1.0 - E2 * s * s)
     return np.stack(
-        [(n + height) * c * np.cos(lon), (n + height) * c * np.sin(lon), (n * (1 - E2) + height) * s],
+        [
+            (n + height) * c * np.cos(lon),
+            (n + height) * c * np.sin(lon),
+            (n * (1 - E2) + height) * s,
+        ],
         axis=-1,
     )

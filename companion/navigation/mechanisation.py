@@ -16,7 +16,7 @@ import math
 
 from numba import njit
 
-from companion.navigation.earth import A, E2, gravity_at
+from companion.navigation.earth import E2, A, gravity_at
 from companion.navigation.layout import (
     ACCEL_BIAS_B,
     ACCEL_SCALE_B,
@@ -44,7 +44,8 @@ def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, scale: boo
 
     ``first``, ``last`` (6,): rate [rad/s] and specific force [m/s²] at the two ends of the
     interval of ``dt`` [s]; ``integral``: ``last`` is the mean over the interval and ``first`` the
-    mean over the one before it. ``scale``: also sum what scale-factor states need. ``C`` (3, 3) is scratch; on return it holds C_nb at the end.
+    mean over the one before it. ``scale``: also sum what scale-factor states need. ``C`` (3, 3) is
+    scratch; on return it holds C_nb at the end.
 
     Increments: linear rate between samples gives Δθ = ½(ω₀ + ω₁) dt, and in both cases the coning
     term is ω₀ × ω₁ dt²/12 and the sculling term (ω₀ × f₁ + f₀ × ω₁) dt²/12.

@@ -103,7 +103,9 @@ def test_any_split_of_the_imu_gives_the_same_bits(
     assert np.all(np.diff(settled.t_ns) > 0)
 
 
-def test_a_nanometre_per_second_squared_changes_the_digest(flight: tuple[VehicleRecording, Config]) -> None:
+def test_a_nanometre_per_second_squared_changes_the_digest(
+    flight: tuple[VehicleRecording, Config],
+) -> None:
     vehicle, config = flight
     accel = vehicle.imu[0].accel_b.copy()
     accel[len(accel) // 2, 1] += 1e-9  # one sample; an ulp could be lost in rounding

@@ -18,9 +18,7 @@ from companion.types import F64
 
 from .states import ALL, CORE, box_minus, covariance, random_state
 
-USED = np.array(
-    [[1, 1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1, 1], [0, 1, 1, 0, 1, 0, 1]], dtype=bool
-)
+USED = np.array([[1, 1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1, 1], [0, 1, 1, 0, 1, 0, 1]], dtype=bool)
 """Which blocks of the rows p, v, φ exist."""
 STEP = np.repeat([10.0, 1e-2, 1e-4, 1e-3, 1e-4], 3)
 """Half width of the differences: far above rounding, far below any curvature."""
