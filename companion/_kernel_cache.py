@@ -1,28 +1,43 @@
 """Where compiled kernels are kept: a folder named after the sources of all of them.
 
-Numba's cache looks at the file of a kernel, not at the files of what it calls or of the constants it
-compiles in. A changed offset in one file would leave stale machine code in its callers, silently
-wrong. So the cache's folder carries a hash of every source that takes part: any change is a new folder.
+Numba's cache looks at the file of a kernel, not at the files of what it calls or of the constants
+it compiles in. A changed offset in one file would leave stale machine code in its callers, silently
+wrong. So the cache's folder carries a hash of every source that takes part: any change is a new
+folder. Nothing here imports numba: the command line asks :func:`compiled` before it does.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
+import sys
+from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 
 CONSTANTS = ("layout.py", "parameters.py")
 """Sources without kernels whose values are compiled into kernels."""
+_KERNEL = re.compile(rb"^@njit\(", re.MULTILINE)
+_MARK = "complete"
+"""File in the cache's folder that says for which sources and versions everything is there."""
 
 
-def _sources() -> list[Path]:
-    root = Path(__file__).parent
-    found = []
-    for package in (root, root.parent / "drivers", root.parent / "replay"):
-        for path in sorted(package.rglob("*.py")):
-            if path.name in CONSTANTS or b"njit(" in path.read_bytes():
-                found.append(path)
+def root() -> Path:
+    """The folder that holds the packages."""
+    return Path(__file__).parent.parent
+
+
+def kernel_sources() -> list[Path]:
+    """Every source that takes part in a kernel, in a fixed order."""
+    found: list[Path] = []
+    for package in ("companion", "drivers", "replay"):
+        found.extend(
+            path
+            for path in sorted((root() / package).rglob("*.py"))
+            if path.name in CONSTANTS or _KERNEL.search(path.read_bytes())
+        )
     return found
 
 
@@ -34,7 +49,7 @@ def use_cache() -> None:
     if "NUMBA_CACHE_DIR" in os.environ:
         return
     digest = hashlib.sha256()
-    for path in _sources():
+    for path in kernel_sources():
         digest.update(path.name.encode() + path.read_bytes())
     base = Path(__file__).parent / "__pycache__"
     if not os.access(base if base.exists() else base.parent, os.W_OK):
@@ -45,3 +60,32 @@ def use_cache() -> None:
     for old in base.glob("kernels-*"):
         if old != folder:
             shutil.rmtree(old, ignore_errors=True)
+
+
+def _state() -> str:
+    """What numba will ask before it takes an entry: versions, and each source's stamp and size."""
+    lines = [f"python {sys.version}", f"numba {version('numba')}"]
+    for path in kernel_sources():
+        stat = path.stat()
+        lines.append(f"{path.relative_to(root())} {stat.st_mtime_ns} {stat.st_size}")
+    return "\n".join(lines)
+
+
+def compiled() -> bool:
+    """Whether every kernel of these sources was compiled here before; decided without numba.
+
+    A cache carried to another kind of processor is the one case this cannot see.
+    """
+    try:
+        said = (Path(os.environ["NUMBA_CACHE_DIR"]) / _MARK).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return said == _state()
+
+
+def note_compiled() -> None:
+    """Remember that every kernel is compiled; a folder that cannot be written forgets it."""
+    folder = Path(os.environ["NUMBA_CACHE_DIR"])
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / _MARK).write_text(_state(), encoding="utf-8")

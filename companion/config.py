@@ -51,7 +51,7 @@ class Imu(_Section):
     accel_bias_sd_mps2: float = 0.2
     accel_bias_walk_mps2_rts: float = 0.0005
     accel_bias_tau_s: float = 0.0
-    vibration_gain_rthz: float = 0.0
+    vibration_gain_rthz: float = 0.05
     """Further accelerometer noise density per m/s² of vibration (1σ over a quarter of the
     standstill window) [1/√Hz]; rectification and aliasing grow with what shakes the sensor."""
     scale_factor_states: bool = False
@@ -63,6 +63,9 @@ class Gnss(_Section):
     source: str = "auto"
     latency_ms: float = 0.0
     """Stamp (or arrival) − validity of a fix."""
+    latency_sd_ms: float = 10.0
+    """Scatter of that latency, 1σ: counts as velocity error in proportion to acceleration and as
+    position error in proportion to speed."""
     lever_arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """From the IMU to the antenna, body FRD [m]."""
     position: bool = True

@@ -49,7 +49,7 @@ def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfi
         config = msgspec.structs.replace(
             base,
             imu=msgspec.structs.replace(base.imu, latency_ms=imu_ms),
-            gnss=msgspec.structs.replace(base.gnss, latency_ms=gnss_ms),
+            gnss=msgspec.structs.replace(base.gnss, latency_ms=gnss_ms, latency_sd_ms=40.0),
         )
         origin = (
             f"defaults for a {recording.format} log: consumer MEMS, "

@@ -27,13 +27,20 @@ from companion.navigation.alignment import (
     level,
 )
 from companion.navigation.earth import RATE, gravity, ned_difference
-from companion.navigation.rotation import quat_from_rpy, rpy_from_quat
+from companion.navigation.rotation import quat_from_rpy, rotate_nav, rpy_from_quat
 from companion.types import NS, F64, I64, Event, Mode
 
 CHECK_NS = NS // 2
 """Grid of the decisions above the kernel: heading found, relock, divergence."""
 MAG_AGE_NS = NS
 RELOCK_FIXES = 4
+LOST_FIT = 6.0
+"""Mean NIS per component of horizontal velocity beyond which the heading is taken for wrong: 1 is
+honest, noise three times what was configured gives 9 but scatters about the solution."""
+LOST_SPEED = 1.0
+LOST_TILT_SD = math.radians(3.0)
+OVERLAP = 2.0
+"""Neighbouring innovations share errors: half of their evidence on the heading is repetition."""
 
 
 @dataclass(slots=True)
@@ -411,22 +418,36 @@ class ErrorStateFilter:
             self._reset(t + 1, "diverged", "position uncertainty beyond use: realigning")
             return True
         since = int(f.k[lo.T_REJECT])
-        if since and t - since > round(self.config.engine.gate_relock_s * NS):
-            return self._relock(phase, f, t, aids)
-        return False
+        relock = bool(since) and t - since > round(self.config.engine.gate_relock_s * NS)
+        lost = f.s[lo.VELOCITY_FIT] > LOST_FIT and f.s[lo.GNSS_SPEED] > LOST_SPEED
+        if not (relock or lost):
+            return False
+        fixes = self._agreeing_fixes(aids, t)
+        if len(fixes) == 0:
+            return False
+        # Position alone can be off for long where a receiver erred; velocity that never fits means
+        # that the attitude is wrong, and of the attitude it is the heading that nothing holds.
+        if lost and self.config.alignment.heading != "fixed":
+            self._relearn_heading(phase, f, t, aids, fixes)
+        else:
+            self._relock(phase, f, t, aids, fixes)
+        return True
 
     def _mixture(self, phase: Phase) -> tuple[int, float]:
         """Likeliest hypothesis and the heading's standard deviation over all of them [rad]."""
         n = self.layout.n
         ll = np.array([f.s[lo.LOG_LIKELIHOOD] for f in phase.filters])
-        weight = np.exp(ll - ll.max())
+        likeliest = phase.filters[int(np.argmax(ll))].s
+        # Evidence counts less where even the best hypothesis fits worse than its own covariance says.
+        misfit = max(1.0, likeliest[lo.BANK_NIS] / max(likeliest[lo.BANK_DOF], 1.0))
+        weight = np.exp((ll - ll.max()) / (OVERLAP * misfit))
         weight /= weight.sum()
         yaw = np.array([rpy_from_quat(f.s[:4])[2] for f in phase.filters])
         var = np.array([f.s[lo.P :].reshape(n, n)[8, 8] for f in phase.filters])
         best = int(np.argmax(weight))
         off = np.remainder(yaw - yaw[best] + math.pi, 2 * math.pi) - math.pi
         mean = float(weight @ off)
-        spread = float(weight @ (np.minimum(var, math.pi**2) + (off - mean) ** 2))
+        spread = float(weight @ (np.minimum(misfit * var, math.pi**2) + (off - mean) ** 2))
         return best, math.sqrt(spread)
 
     def _widen_heading(self, phase: Phase, first_row: int) -> None:
@@ -445,7 +466,7 @@ class ErrorStateFilter:
         s, k = f.s.copy(), f.k.copy()
         P = s[lo.P :].reshape(n, n)
         P[8, 8] = max(P[8, 8], sd * sd)
-        s[lo.LOG_LIKELIHOOD] = 0.0
+        s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = s[lo.VELOCITY_FIT] = 0.0
         new = Phase(t + 1, Mode.NAVIGATING, [Filter.start(s, k, self._slots)], resets=phase.resets)
         new.checks = [Check(t)]
         self.phases.append(new)
@@ -458,8 +479,8 @@ class ErrorStateFilter:
         )
         return True
 
-    def _relock(self, phase: Phase, f: Filter, t: int, aids: SampleBuffer) -> bool:
-        """Position aiding has been rejected for long: believe it once fixes agree among themselves."""
+    def _agreeing_fixes(self, aids: SampleBuffer, t: int) -> list[int]:
+        """The last few fixes where each foresees the next by its velocity; else none."""
         fixes = [
             m
             for m in range(aids.start, aids.after(t))
@@ -468,7 +489,7 @@ class ErrorStateFilter:
             and aids.t[m] > t - 5 * NS
         ][-RELOCK_FIXES:]
         if len(fixes) < RELOCK_FIXES:
-            return False
+            return []
         rows, times = aids.rows[fixes], aids.t[fixes]
         step = ned_difference(
             rows[1:, 0], rows[1:, 1], rows[1:, 2], rows[:-1, 0], rows[:-1, 1], rows[:-1, 2]
@@ -476,13 +497,15 @@ class ErrorStateFilter:
         dt = np.diff(times)[:, None] / NS
         expected = 0.5 * (rows[1:, 3:5] + rows[:-1, 3:5]) * dt
         allowed = 3.0 * np.sqrt(rows[1:, 6:8] + rows[:-1, 6:8] + rows[1:, 9:11] * dt**2)
-        if not np.all(np.abs(step[:, :2] - expected) < allowed):
-            return False
+        return fixes if np.all(np.abs(step[:, :2] - expected) < allowed) else []
+
+    def _restarted(self, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]) -> tuple[F64, I64]:
+        """The state with position and velocity taken anew from the last agreeing fix."""
         n = self.layout.n
         s, k = f.s.copy(), f.k.copy()
-        last = rows[-1]
+        last = aids.rows[fixes[-1]]
         s[lo.LAT : lo.LAT + 3] = last[:3]
-        ahead = (t - int(times[-1])) / NS
+        ahead = (t - int(aids.t[fixes[-1]])) / NS
         velocity = np.where(np.isfinite(last[3:6]), last[3:6], s[lo.VEL_N : lo.VEL_N + 3])
         s[lo.VEL_N : lo.VEL_N + 3] = velocity
         P = s[lo.P :].reshape(n, n)
@@ -491,7 +514,15 @@ class ErrorStateFilter:
             var = last[9 + m] if np.isfinite(last[3 + m]) else 9.0
             P[3 + m, 3 + m] = 4.0 * var + ahead**2
             P[m, m] = 4.0 * last[6 + m] + (1.0 + float(velocity @ velocity)) * ahead**2
+        s[lo.VELOCITY_FIT] = s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = 0.0
         k[lo.T_REJECT], k[lo.RESETS] = 0, k[lo.RESETS] + 1
+        return s, k
+
+    def _relock(
+        self, phase: Phase, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]
+    ) -> None:
+        """Position aiding has been rejected for long: believe it, the fixes agree among themselves."""
+        s, k = self._restarted(f, t, aids, fixes)
         new = Phase(t + 1, Mode.NAVIGATING, [Filter.start(s, k, self._slots)])
         new.checks = [Check(t)]
         self.phases.append(new)
@@ -502,4 +533,30 @@ class ErrorStateFilter:
             f"{self.config.engine.gate_relock_s:.0f} s of rejections",
             "warning",
         )
-        return True
+
+    def _relearn_heading(
+        self, phase: Phase, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]
+    ) -> None:
+        """Velocity never fits: back to the bank over headings, level and gyro bias kept roughly."""
+        s, k = self._restarted(f, t, aids, fixes)
+        n, count = self.layout.n, self.config.alignment.hypotheses
+        P = s[lo.P :].reshape(n, n)
+        P[6:, :], P[:, 6:] = 0.0, 0.0
+        P[range(6, n), range(6, n)] = par.initial_variances(self.config, self.layout)[6:]
+        P[6, 6] = P[7, 7] = LOST_TILT_SD**2
+        P[8, 8] = (math.pi / count) ** 2
+        s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = 0.0
+        filters = []
+        for m in range(count):
+            turned = s.copy()
+            rotate_nav(turned, 0.0, 0.0, 2.0 * math.pi * m / count)
+            filters.append(Filter.start(turned, k.copy(), self._slots))
+        new = Phase(t + 1, Mode.HEADING_UNKNOWN, filters)
+        new.checks = [Check(t, 0, math.pi)]
+        self.phases.append(new)
+        self._say(
+            t,
+            "heading-lost",
+            "velocity does not fit GNSS for seconds: heading is searched for again",
+            "warning",
+        )

@@ -39,8 +39,9 @@ from companion.types import F64, I64, NS
     COURSE_SPEED,
     BRIDGED_DT,  # an IMU interval longer than this is a bridged gap
     VIBRATION_GAIN,  # accelerometer noise density per vibration, squared [1/Hz]
+    LATENCY_VAR,  # of a fix's time of validity [s²]
     SIZE,
-) = range(27)
+) = range(28)
 
 # --- integer parameters
 (
@@ -87,6 +88,7 @@ def parameter_vector(config: Config) -> F64:
     p[COURSE_VAR] = (aid.course_sd_deg * DEG) ** 2
     p[COURSE_SPEED] = aid.course_min_speed_mps
     p[BRIDGED_DT] = 0.06
+    p[LATENCY_VAR] = (config.gnss.latency_sd_ms * 1e-3) ** 2
     p[VIBRATION_GAIN] = imu.vibration_gain_rthz**2
     return p
 

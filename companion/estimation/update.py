@@ -17,7 +17,15 @@ from numba import njit
 from companion.estimation.adaptation import scale_of
 from companion.estimation.parameters import BANK, FEEDFORWARD, GATE
 from companion.navigation.error_model import box_plus
-from companion.navigation.layout import ATT, DX, L_N, LOG_LIKELIHOOD
+from companion.navigation.layout import (
+    ATT,
+    BANK_DOF,
+    BANK_NIS,
+    DX,
+    L_N,
+    LOG_LIKELIHOOD,
+    VELOCITY_FIT,
+)
 from companion.navigation.layout import P as P_OFFSET
 from companion.types import F64, I64
 
@@ -27,8 +35,10 @@ R_INNOVATION, R_SD = 3, 6
 R_NIS, R_GATE, R_SCALE_USED, R_VERDICT = 9, 10, 11, 12
 REPORT_SIZE = 13
 
-ZERO_VELOCITY, ZERO_RATE = 7, 8  # as types.Channel
+VELOCITY_H, ZERO_VELOCITY, ZERO_RATE = 2, 7, 8  # as types.Channel
 ACCEPTED, REJECTED_GATE, REFUSED_INVALID = 0.0, 1.0, 4.0
+FIT_UPDATES = 50.0
+"""Updates over which the fit of horizontal velocity is averaged."""
 WINSOR = 25.0
 """Cap on NIS in the likelihood of a heading hypothesis: one outlier must not decide."""
 
@@ -139,12 +149,16 @@ def fuse(
     if not nis >= 0.0:
         report[R_VERDICT] = REFUSED_INVALID
         return False
+    if channel == VELOCITY_H:
+        s[VELOCITY_FIT] += (min(nis, WINSOR) / m - s[VELOCITY_FIT]) / FIT_UPDATES
     if ipar[BANK] == 1 and channel != ZERO_VELOCITY and channel != ZERO_RATE:
         # Hypotheses compete on how well they foresee the aids; a standstill favours none of them.
         log_det = 0.0
         for i in range(m):
             log_det += 2.0 * math.log(L[i, i])
         s[LOG_LIKELIHOOD] -= 0.5 * (min(nis, WINSOR) + log_det)
+        s[BANK_NIS] += min(nis, WINSOR)
+        s[BANK_DOF] += m
     elif nis > gate:
         report[R_VERDICT] = REJECTED_GATE
         return False

@@ -25,6 +25,7 @@ from companion.estimation.parameters import (
     COVARIANCE_NS,
     FEEDFORWARD,
     GAP_NS,
+    LATENCY_VAR,
     NHC_LEVER,
     NHC_VAR,
     OUTPUT_NS,
@@ -53,6 +54,7 @@ from companion.navigation.layout import (
     HEIGHT,
     L_ACCEL_SCALE,
     L_N,
+    LAST_ACCEL,
     LAST_GYRO,
     LAT,
     RESETS,
@@ -146,6 +148,15 @@ def fuse_gnss(
                 continue
             R[0], R[1] = z[v], z[v + 1]
         quat_to_matrix(s, C)
+        # A fix valid at a slightly other time than its stamp errs along acceleration and velocity.
+        for i in range(m):
+            axis = 2 if vertical else i
+            drift = s[VEL_N + axis]
+            if half >= 2:
+                drift = 9.8 if vertical else 0.0
+                for c in range(3):
+                    drift += C[axis, c] * (s[LAST_ACCEL + c] - s[ACCEL_BIAS_B + c])
+            R[i] += par[LATENCY_VAR] * drift * drift
         if half >= 2:
             velocity(s, lay, C, z[A_VELOCITY : A_VELOCITY + 3], H, y)
         else:

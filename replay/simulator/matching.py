@@ -48,6 +48,7 @@ def imu_config(spec: ImuSpec) -> Imu:
             math.hypot(spec.accel_bias_sd_mps2, spec.accel_instability_mps2), 1e-6
         ),
         accel_bias_walk_mps2_rts=spec.accel_walk_mps2_rts,
+        vibration_gain_rthz=0.0,
     )
 
 
@@ -55,6 +56,7 @@ def gnss_config(spec: GnssSpec) -> Gnss:
     """Filter parameters of a simulated receiver; its slow error enters as white."""
     horizontal, vertical = spec.total_sd_m
     return Gnss(
+        latency_sd_ms=0.0,
         latency_ms=spec.latency_ms if spec.stamped == "arrival" else 0.0,
         lever_arm_b_m=spec.lever_arm_b_m,
         sd_position_m=max(horizontal, 1e-3),
