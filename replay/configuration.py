@@ -22,6 +22,22 @@ _DEFAULT_LATENCY_MS = {
 """IMU and GNSS latency [ms] by format of the log; other formats stamp validity."""
 
 
+_UNDERSAMPLED_HZ = 100.0
+_UNDERSAMPLED_NOISE = (0.5, 0.2)
+"""Noise [deg/s/√Hz, m/s²/√Hz] of an IMU that is logged slower than that: samples of a 1 kHz sensor
+on a shaking airframe, picked without a filter. Spread of a flight's gyro, 5 to 30 deg/s, over √50 Hz
+is 0.7 to 4; most of it is motion that the trapezoid rule follows."""
+
+
+def _imu_rate_hz(recording: Recording) -> float:
+    """Rate of the inertial stream that the engine would use; 0 without one."""
+    for vehicle in recording.vehicles:
+        for stream in vehicle.streams:
+            if vehicle.imu and stream.kind == "imu" and stream.source == vehicle.imu[0].source:
+                return stream.rate_hz
+    return 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class ChosenConfig:
     """A configuration, where it came from, and the TOML of all its keys."""
@@ -46,13 +62,21 @@ def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfi
     elif recording.format in _DEFAULT_LATENCY_MS:
         imu_ms, gnss_ms = _DEFAULT_LATENCY_MS[recording.format]
         base = Config()
+        imu, sampling = base.imu, "consumer MEMS"
+        rate_hz = _imu_rate_hz(recording)
+        if 0 < rate_hz < _UNDERSAMPLED_HZ:
+            gyro, accel = _UNDERSAMPLED_NOISE
+            imu = msgspec.structs.replace(
+                imu, gyro_noise_dps_rthz=gyro, accel_noise_mps2_rthz=accel
+            )
+            sampling = f"MEMS logged at only {rate_hz:.0f} Hz"
         config = msgspec.structs.replace(
             base,
-            imu=msgspec.structs.replace(base.imu, latency_ms=imu_ms),
+            imu=msgspec.structs.replace(imu, latency_ms=imu_ms),
             gnss=msgspec.structs.replace(base.gnss, latency_ms=gnss_ms, latency_sd_ms=40.0),
         )
         origin = (
-            f"defaults for a {recording.format} log: consumer MEMS, "
+            f"defaults for a {recording.format} log: {sampling}, "
             f"IMU {imu_ms:g} ms and GNSS {gnss_ms:g} ms late (--config says it better)"
         )
     else:
