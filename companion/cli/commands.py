@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from replay.configuration import ChosenConfig
     from replay.session import SessionResult
 
-_COMPILING = "Loading the numerical kernels; the first time on a machine compiles them (a minute) …"
+_COMPILING = "Compiling the numerical kernels for this kind of processor (a minute) …"
 
 
 def replay_logs(
@@ -181,6 +181,8 @@ def _solve(
 
 
 def _recording(console: Console, logs: Sequence[Path], vehicle_name: str | None) -> Recording:
+    if all(path.exists() for path in logs):
+        _compile_kernels()
     from replay.reader import read_log
 
     with present.notice_if_slow(console, "Reading …"):
@@ -257,8 +259,23 @@ def _plain(value: Any) -> dict[str, Any]:
     return plain
 
 
+def _compile_kernels() -> None:
+    """On a machine that never did, compile every kernel now, visibly; afterwards cost nothing."""
+    from replay import kernels
+
+    if kernels.compiled():
+        return
+    console = Console(stderr=True, soft_wrap=True)
+    console.print(
+        "First start here: compiling the numerical kernels, once; about a minute …", style="yellow"
+    )
+    with present.progress(console, "Compiling kernels") as update:
+        kernels.load_all(update)
+
+
 def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) -> dict[str, Any]:
     """Simulate, and write sensor folder, telemetry log and truth into one directory."""
+    _compile_kernels()
     with present.notice_if_slow(console, _COMPILING):
         from replay.simulator import load_scenario
         from replay.simulator.flight import write_flight
@@ -286,6 +303,7 @@ def run_bench(
     config_path: Path | None,
 ) -> dict[str, Any]:
     """Measure speed, memory and start-up on this machine."""
+    _compile_kernels()
     with present.notice_if_slow(console, _COMPILING):
         from replay import bench
     with present.progress(console, "Measuring") as update:
