@@ -7,7 +7,7 @@ DEV_STAMP := $(VENV)/.installed-dev
 SAMPLE := $(wildcard replay/data/*.tlog)
 OUT := out
 
-.PHONY: run test lint clean
+.PHONY: run test test-all lint clean
 
 run: $(RUN_STAMP)
 	@mkdir -p $(OUT)
@@ -17,6 +17,11 @@ run: $(RUN_STAMP)
 test: $(DEV_STAMP)
 	$(BIN)/python -m replay.kernels
 	$(BIN)/python -m pytest
+
+# With the long fuzz runs.
+test-all: $(DEV_STAMP)
+	$(BIN)/python -m replay.kernels
+	$(BIN)/python -m pytest -m 'slow or not slow'
 
 lint: $(DEV_STAMP)
 	$(BIN)/ruff check .
@@ -37,4 +42,4 @@ $(DEV_STAMP): $(VENV)/pyvenv.cfg pyproject.toml
 	@touch $@ $(RUN_STAMP)
 
 clean:
-	rm -rf $(VENV) $(OUT) build *.egg-info
+	rm -rf $(VENV) $(OUT) build *.egg-info companion/__pycache__/kernels-*
