@@ -93,8 +93,8 @@ class Engine:
         self._sources: dict[str, dict[str, int]] = {}
         self._published_t = np.iinfo(np.int64).min
         self._said: dict[tuple[int, str], None] = {}
-        self._settled = hashlib.blake2b(digest_size=32)
-        self._published = hashlib.blake2b(digest_size=32)
+        self._settled = hashlib.sha1(usedforsecurity=False)
+        self._published = hashlib.sha1(usedforsecurity=False)
         self._refusals: list[AidingReports] = []
         self._last_fix: tuple[float, float, float] | None = None
         self._declination: float | None = None
@@ -109,8 +109,10 @@ class Engine:
         """
         if isinstance(samples, ImuSamples):
             return self._step_imu(samples)
-        if isinstance(samples, MagSamples) and self.config.mag.use and not self._know_declination(
-            samples
+        if (
+            isinstance(samples, MagSamples)
+            and self.config.mag.use
+            and not self._know_declination(samples)
         ):
             self._early_mag.append(samples)
             return _NOTHING
@@ -124,7 +126,9 @@ class Engine:
                     self._step_aids(mag)
         self._step_aids(samples)
         # Rows walked again settle with the next inertial samples; what is new is said at once.
-        return Outputs(_NO_SOLUTION, _NO_SOLUTION, self._drain_reports(), self._drain_events(_NEVER))
+        return Outputs(
+            _NO_SOLUTION, _NO_SOLUTION, self._drain_reports(), self._drain_events(_NEVER)
+        )
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""
@@ -164,8 +168,10 @@ class Engine:
             return self._drain()
         while len(t):
             head = self._head
-            peak = np.maximum.accumulate(np.maximum(t, head)) if head is not None else (
-                np.maximum.accumulate(t)
+            peak = (
+                np.maximum.accumulate(np.maximum(t, head))
+                if head is not None
+                else (np.maximum.accumulate(t))
             )
             before = np.concatenate([[head if head is not None else t[0] - 1], peak[:-1]])
             back = np.flatnonzero(before - t > CLOCK_BACK_NS)
@@ -201,7 +207,9 @@ class Engine:
             f"IMU clock jumped back by {(last - now) / NS:.1f} s: estimator restarted",
             "warning",
         )
-        return _join([out, Outputs(Solution.empty(), Solution.empty(), AidingReports.empty(), (event,))])
+        return _join(
+            [out, Outputs(Solution.empty(), Solution.empty(), AidingReports.empty(), (event,))]
+        )
 
     # ------------------------------------------------------------------ aiding
 
@@ -343,8 +351,16 @@ class Engine:
         column = np.full(n, channel, np.int64)
         self._refusals.append(
             AidingReports(
-                t, column, np.full(n, source, np.int64), np.zeros(n, np.int64),
-                nan3, nan3, nan1, nan1, nan1, verdict,
+                t,
+                column,
+                np.full(n, source, np.int64),
+                np.zeros(n, np.int64),
+                nan3,
+                nan3,
+                nan1,
+                nan1,
+                nan1,
+                verdict,
             )  # fmt: skip
         )
         for value, count in zip(*np.unique(verdict, return_counts=True), strict=True):
@@ -442,7 +458,7 @@ def _solution(t: I64, r: F64) -> Solution:
     )
 
 
-def _hash_rows(digest: hashlib.blake2b, t: I64, rows: F64) -> None:
+def _hash_rows(digest: hashlib._Hash, t: I64, rows: F64) -> None:
     """Feed epochs to a digest, each as its time and its row, however many come at once."""
     block = np.empty((len(t), 1 + w.ROW_SIZE))
     block[:, 0] = t.view(np.float64)
@@ -459,5 +475,3 @@ def _join(parts: list[Outputs]) -> Outputs:
         AidingReports.concatenate([p.reports for p in parts]),
         tuple(e for p in parts for e in p.events),
     )
-
-

@@ -30,14 +30,8 @@ from companion.navigation.earth import RATE, gravity, ned_difference
 from companion.navigation.rotation import quat_from_rpy, rotate_nav, rpy_from_quat
 from companion.types import NS, F64, I64, Event, Mode
 
-CHECK_NS = NS // 2
-"""Grid of the decisions above the kernel: heading found, relock, divergence."""
 MAG_AGE_NS = NS
 RELOCK_FIXES = 4
-LOST_FIT = 6.0
-"""Mean NIS per component of horizontal velocity beyond which the heading is taken for wrong: 1 is
-honest, noise three times what was configured gives 9 but scatters about the solution."""
-LOST_SPEED = 1.0
 LOST_TILT_SD = math.radians(3.0)
 OVERLAP = 2.0
 """Neighbouring innovations share errors: half of their evidence on the heading is repetition."""
@@ -161,13 +155,18 @@ class ErrorStateFilter:
             if phase.mode is Mode.ALIGNING:
                 self._align(phase, imu, aids, i, j)
                 continue
-            # Decisions are due between the last sample of a cell and the first of the next.
-            cell = t_imu // CHECK_NS
-            if int(imu.t[i]) // CHECK_NS != cell and self._decide(phase, t_imu, aids):
-                continue
-            stop = imu.after((int(imu.t[i]) // CHECK_NS + 1) * CHECK_NS - 1)
-            code = self._walk(phase, imu, aids, i, max(stop, i + 1), j)
-            if code == w.STOP_GAP:
+            # The bank takes turns of one cell of the grid; one filter walks to the end.
+            stop = imu.end
+            if phase.mode is Mode.HEADING_UNKNOWN:
+                stop = imu.after((int(imu.t[i]) // w.CHECK_NS + 1) * w.CHECK_NS - 1)
+            code = self._walk(phase, imu, aids, i, stop, j)
+            if code == w.STOP_CHECK:
+                # Between the last sample of a cell and the first of the next.
+                t_imu = self.now[0]
+                for f in phase.filters:
+                    f.k[lo.T_CHECK] = t_imu
+                self._decide(phase, t_imu, aids)
+            elif code == w.STOP_GAP:
                 t_imu = self.now[0]
                 gap = (int(imu.t[imu.after(t_imu)]) - t_imu) / NS
                 self._reset(
@@ -177,7 +176,10 @@ class ErrorStateFilter:
                 )
             elif code == w.STOP_BROKEN:
                 self._reset(
-                    self.now[0] + 1, "broken", "state or covariance not finite: realigning", drop=True
+                    self.now[0] + 1,
+                    "broken",
+                    "state or covariance not finite: realigning",
+                    drop=True,
                 )
 
     def _walk(
@@ -215,9 +217,7 @@ class ErrorStateFilter:
 
     # ------------------------------------------------------------------ phases
 
-    def _say(
-        self, t: int, kind: str, text: str, level: str = "info"
-    ) -> None:
+    def _say(self, t: int, kind: str, text: str, level: str = "info") -> None:
         self.events.append(Event(t, kind, text, level))  # type: ignore[arg-type]
 
     def _reset(self, t: int, kind: str, text: str, *, drop: bool = False) -> None:
@@ -233,9 +233,7 @@ class ErrorStateFilter:
     def _resets(phase: Phase) -> int:
         return int(phase.filters[0].k[lo.RESETS]) if phase.filters else phase.resets
 
-    def _align(
-        self, phase: Phase, imu: SampleBuffer, aids: SampleBuffer, i: int, j: int
-    ) -> None:
+    def _align(self, phase: Phase, imu: SampleBuffer, aids: SampleBuffer, i: int, j: int) -> None:
         """Look for the first fix that a solution can start from; move on to the end otherwise."""
         last = int(imu.t[imu.end - 1])
         window_ns = round(self.config.alignment.window_s * NS)
@@ -281,8 +279,7 @@ class ErrorStateFilter:
             headings = [2 * math.pi * m / count - math.pi for m in range(count)]
             yaw_sd = math.pi / count
         filters = [
-            self._initial(lev, h, yaw_sd, slope, fix, imu, b, t, phase, prior_var)
-            for h in headings
+            self._initial(lev, h, yaw_sd, slope, fix, imu, b, t, phase, prior_var) for h in headings
         ]
         mode = Mode.HEADING_UNKNOWN if how == "unknown" else Mode.NAVIGATING
         new = Phase(t, mode, filters, resets=phase.resets)
@@ -317,9 +314,7 @@ class ErrorStateFilter:
                     break
                 if aids.key[m, 0] == w.KIND_MAG:
                     row = aids.rows[m]
-                    yaw, slope = heading_from_field(
-                        lev.roll, lev.pitch, row[:3], row[w.A_AZIMUTH]
-                    )
+                    yaw, slope = heading_from_field(lev.roll, lev.pitch, row[:3], row[w.A_AZIMUTH])
                     return yaw, 2.0 * cfg.mag.sd_deg * DEG, slope, "magnetometer"
         if (wish == "course" or (wish == "auto" and cfg.constraints.course)) and (
             speed > cfg.constraints.course_min_speed_mps
@@ -406,20 +401,17 @@ class ErrorStateFilter:
 
     def _decide(self, phase: Phase, t: int, aids: SampleBuffer) -> bool:
         """Heading found, relock, divergence; True when the phase changed."""
-        if phase.checks[-1].t_ns == t:
-            return False
         if phase.mode is Mode.HEADING_UNKNOWN:
             return self._heading_found(phase, t)
-        phase.checks = [*phase.checks[-8:], Check(t)]
         f = phase.filters[0]
         n = self.layout.n
         P = f.s[lo.P :].reshape(n, n)
-        if math.sqrt(P[0, 0] + P[1, 1]) > self.config.engine.diverged_position_sd_m:
+        if P[0, 0] + P[1, 1] > self._par[par.DIVERGED_VAR]:
             self._reset(t + 1, "diverged", "position uncertainty beyond use: realigning")
             return True
         since = int(f.k[lo.T_REJECT])
-        relock = bool(since) and t - since > round(self.config.engine.gate_relock_s * NS)
-        lost = f.s[lo.VELOCITY_FIT] > LOST_FIT and f.s[lo.GNSS_SPEED] > LOST_SPEED
+        relock = bool(since) and t - since > self._ipar[par.RELOCK_NS]
+        lost = f.s[lo.VELOCITY_FIT] > w.LOST_FIT and f.s[lo.GNSS_SPEED] > w.LOST_SPEED
         if not (relock or lost):
             return False
         fixes = self._agreeing_fixes(aids, t)
@@ -499,7 +491,9 @@ class ErrorStateFilter:
         allowed = 3.0 * np.sqrt(rows[1:, 6:8] + rows[:-1, 6:8] + rows[1:, 9:11] * dt**2)
         return fixes if np.all(np.abs(step[:, :2] - expected) < allowed) else []
 
-    def _restarted(self, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]) -> tuple[F64, I64]:
+    def _restarted(
+        self, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]
+    ) -> tuple[F64, I64]:
         """The state with position and velocity taken anew from the last agreeing fix."""
         n = self.layout.n
         s, k = f.s.copy(), f.k.copy()

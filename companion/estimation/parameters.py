@@ -40,8 +40,9 @@ from companion.types import F64, I64, NS
     BRIDGED_DT,  # an IMU interval longer than this is a bridged gap
     VIBRATION_GAIN,  # accelerometer noise density per vibration, squared [1/Hz]
     LATENCY_VAR,  # of a fix's time of validity [s²]
+    DIVERGED_VAR,  # horizontal position variance beyond use [m²]
     SIZE,
-) = range(28)
+) = range(29)
 
 # --- integer parameters
 (
@@ -57,8 +58,9 @@ from companion.types import F64, I64, NS
     GAP_NS,
     COASTING_NS,
     BASE_MODE,  # Mode to report while aided
+    RELOCK_NS,
     INT_SIZE,
-) = range(13)
+) = range(14)
 
 
 def parameter_vector(config: Config) -> F64:
@@ -89,6 +91,7 @@ def parameter_vector(config: Config) -> F64:
     p[COURSE_SPEED] = aid.course_min_speed_mps
     p[BRIDGED_DT] = 0.06
     p[LATENCY_VAR] = (config.gnss.latency_sd_ms * 1e-3) ** 2
+    p[DIVERGED_VAR] = config.engine.diverged_position_sd_m**2
     p[VIBRATION_GAIN] = imu.vibration_gain_rthz**2
     return p
 
@@ -106,6 +109,7 @@ def integer_vector(config: Config) -> I64:
     k[ZERO_VELOCITY] = aid.zero_velocity
     k[COURSE] = aid.course
     k[GAP_NS] = round(engine.imu_gap_bridge_s * NS)
+    k[RELOCK_NS] = round(engine.gate_relock_s * NS)
     k[COASTING_NS] = round(engine.coasting_after_s * NS)
     return k
 

@@ -23,12 +23,14 @@ from companion.estimation.parameters import (
     COURSE_SPEED,
     COURSE_VAR,
     COVARIANCE_NS,
+    DIVERGED_VAR,
     FEEDFORWARD,
     GAP_NS,
     LATENCY_VAR,
     NHC_LEVER,
     NHC_VAR,
     OUTPUT_NS,
+    RELOCK_NS,
     SNAPSHOT_NS,
     STILL_ACCEL,
     STILL_GYRO,
@@ -38,7 +40,7 @@ from companion.estimation.parameters import (
     ZERO_VELOCITY,
     ZUPT_VAR,
 )
-from companion.estimation.update import REPORT_SIZE, fuse
+from companion.estimation.update import fuse
 from companion.measurements.barometer import height
 from companion.measurements.gnss import position, velocity
 from companion.measurements.heading import direction
@@ -51,7 +53,6 @@ from companion.navigation.layout import (
     GNSS_SPEED,
     GNSS_SPEED_SD,
     HAVE_IMU,
-    HEIGHT,
     L_ACCEL_SCALE,
     L_N,
     LAST_ACCEL,
@@ -59,9 +60,9 @@ from companion.navigation.layout import (
     LAT,
     RESETS,
     STANDING,
-    SUM_T,
     SUM_XA,
     SUM_XV,
+    T_CHECK,
     T_CONSTRAINT,
     T_COVARIANCE,
     T_GNSS_SPEED,
@@ -73,6 +74,7 @@ from companion.navigation.layout import (
     T_SNAPSHOT,
     T_VELOCITY_AID,
     VEL_N,
+    VELOCITY_FIT,
 )
 from companion.navigation.layout import P as P_OFFSET
 from companion.navigation.mechanisation import advance
@@ -80,7 +82,14 @@ from companion.navigation.rotation import quat_to_matrix
 from companion.types import F64, I64
 
 # --- why a walk ended
-DONE, STOP_GAP, STOP_BROKEN = 0, 1, 2
+DONE, STOP_GAP, STOP_BROKEN, STOP_CHECK = 0, 1, 2, 3
+
+CHECK_NS = 500_000_000
+"""Grid of the decisions above the kernel: heading found, relock, divergence."""
+LOST_FIT = 6.0
+"""Mean NIS per component of horizontal velocity beyond which the heading is taken for wrong: 1 is
+honest, noise three times what was configured gives 9 but scatters about the solution."""
+LOST_SPEED = 1.0
 
 # --- kinds of aid and columns of the aid table
 KIND_GNSS, KIND_BARO, KIND_MAG = 0, 1, 2
@@ -215,9 +224,7 @@ def fuse_aid(
 ) -> int:
     """Fuse one row of the aid table; returns the number of report rows after it."""
     if kind[0] == KIND_GNSS:
-        return fuse_gnss(
-            s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count
-        )
+        return fuse_gnss(s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count)
     y = np.empty(3)
     R = np.empty(3)
     R[0] = z[A_VAR]
@@ -229,9 +236,7 @@ def fuse_aid(
         if ipar[BANK] == 1:
             return count
         quat_to_matrix(s, C)
-        if not direction(
-            lay, C, z[A_VALUE], z[A_VALUE + 1], z[A_VALUE + 2], z[A_AZIMUTH], H, y
-        ):
+        if not direction(lay, C, z[A_VALUE], z[A_VALUE + 1], z[A_VALUE + 2], z[A_AZIMUTH], H, y):
             return count
     fuse(s, lay, par, ipar, channel, kind[1], H, y, R, 1, W, reports[count])
     reports_t[count] = t
@@ -341,6 +346,17 @@ def _step(
     k[T_NOW] = t
 
 
+@njit("b1(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1])", cache=True)
+def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
+    """Whether a decision above the kernel is due: diverged, locked out, or heading lost."""
+    n = lay[L_N]
+    if s[P_OFFSET] + s[P_OFFSET + n + 1] > par[DIVERGED_VAR]:
+        return True
+    if k[T_REJECT] > 0 and k[T_IMU] - k[T_REJECT] > ipar[RELOCK_NS]:
+        return True
+    return s[VELOCITY_FIT] > LOST_FIT and s[GNSS_SPEED] > LOST_SPEED
+
+
 @njit(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[:, ::1], i8[::1], i8[:, ::1],"
     "f8[:, ::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1])",
@@ -371,7 +387,7 @@ def walk(
     or 0; aid_t (M,), aid_kind (M, 2): kind and source, aid (M, AID_SIZE): see the ``A_`` columns.
     Aids after the last sample wait. Output rows go to ``rows`` from ``at[4]`` on, reports to
     ``reports`` from ``at[5]``, snapshots to the rings ``snaps``, ``snaps_k``. ``at`` is moved on; the code says why the walk
-    ended: all samples taken, a gap before sample ``at[0]``, or a state that is not finite.
+    ended: all samples taken, a gap before sample ``at[0]``, a state that is not finite, or a decision due.
     """
     n = lay[L_N]
     C = np.empty((3, 3))
@@ -388,6 +404,13 @@ def walk(
         sample = imu[i]
         if t - k[T_IMU] > ipar[GAP_NS]:
             code = STOP_GAP
+            break
+        if (
+            t // CHECK_NS != k[T_IMU] // CHECK_NS
+            and k[T_CHECK] != k[T_IMU]
+            and (ipar[BANK] == 1 or doubtful(s, k, lay, par, ipar))
+        ):
+            code = STOP_CHECK
             break
         if k[HAVE_IMU] == 0:
             for c in range(6):

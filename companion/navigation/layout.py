@@ -81,7 +81,7 @@ T_REJECT = 11  # since when position aiding has been rejected without a break; 0
 T_COVARIANCE = 12  # grid cell of the last covariance step
 T_SNAPSHOT = 13  # grid cell of the last snapshot
 RESETS = 14  # declared resets so far
-PHASE = 15  # estimator phase that this state belongs to
+T_CHECK = 15  # sample at which the last decision above the kernel was taken
 INT_SIZE = 16
 
 # --- error state
