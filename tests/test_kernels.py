@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -11,11 +12,11 @@ import pytest
 from companion import _kernel_cache as cache
 from companion.cli import main
 from replay import kernels
-from replay import session as _  # the real kernels, before a test moves the cache away
 
 
 @pytest.fixture
 def empty(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    importlib.import_module("replay.session")  # its kernels from the cache in use until now
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
