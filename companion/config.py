@@ -118,7 +118,7 @@ class Constraints(_Section):
     zero_rate_sd_dps: float = 0.05
     standstill_window_s: float = 1.0
     standstill_gyro_dps: float = 0.5
-    """Largest spread of the gyro's means over the quarters of the window that counts as standing."""
+    """Largest spread of the gyro's means over the window's quarters that counts as standing."""
     standstill_accel_mps2: float = 0.12
     """The same for the accelerometer."""
     standstill_speed_mps: float = 0.3
@@ -136,7 +136,7 @@ class Constraints(_Section):
 
 class Alignment(_Section):
     heading: Literal["auto", "magnetometer", "course", "unknown", "fixed"] = "auto"
-    """``auto``: magnetometer where ``mag.use``, course where ``constraints.course``, else unknown."""
+    """``auto``: magnetometer with ``mag.use``, course with ``constraints.course``, else unknown."""
     fixed_heading_deg: float = 0.0
     window_s: float = 1.0
     """Length of the accelerometer and gyro means for levelling [s]."""

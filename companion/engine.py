@@ -1,8 +1,9 @@
 """The engine: samples in, in order of arrival; solution, reports and events out. Pure.
 
 No clock, no socket, no thread: time is what the samples say. Live, replay and smoothing call the
-same :meth:`Engine.step`. Aiding may arrive late and out of order inside the delay ring: the filter goes
-back to a snapshot, takes it at its own time, and walks forward again. So there are two solutions:
+same :meth:`Engine.step`. Aiding may arrive late and out of order inside the delay ring: the filter
+goes back to a snapshot, takes it at its own time, and walks forward again. So there are two
+solutions:
 
 - *published*: each epoch when it was first reached, with all that had arrived by then;
 - *settled*: each epoch once nothing inside the ring can change it, identical to the bit to what
@@ -25,9 +26,9 @@ from companion.estimation.error_state import ErrorStateFilter
 from companion.measurements.barometer import pressure_height
 from companion.measurements.magnetometer import declination
 from companion.types import (
-    NS,
     F64,
     I64,
+    NS,
     AidingReports,
     AidingSamples,
     AnySamples,
@@ -83,8 +84,12 @@ class Engine:
         self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
         gnss = config.gnss
         self._gnss_sd = np.array(
-            [*[gnss.sd_position_m] * 2, gnss.sd_height_m]
-            + [*[gnss.sd_velocity_mps] * 2, gnss.sd_velocity_down_mps]
+            [
+                *[gnss.sd_position_m] * 2,
+                gnss.sd_height_m,
+                *[gnss.sd_velocity_mps] * 2,
+                gnss.sd_velocity_down_mps,
+            ]
         )
         self._ring_ns = round(config.engine.delay_ring_s * NS)
         self._keep_imu_ns = self._ring_ns + round(config.alignment.window_s * NS) + 2 * NS
@@ -162,7 +167,7 @@ class Engine:
             t, rows = t[good], rows[good]
         parts: list[Outputs] = []
         head = self._head
-        if 0 < len(t) <= CHUNK and (head is None or t[0] > head) and (t[1:] > t[:-1]).all():
+        if 0 < len(t) <= CHUNK and (head is None or t[0] > head) and np.all(t[1:] > t[:-1]):
             self._imu.append(t, rows)
             self.filter.advance(self._imu, self._aids)
             return self._drain()
@@ -334,7 +339,7 @@ class Engine:
             self._last_fix = place
 
     def _know_declination(self, samples: MagSamples) -> bool:
-        """Whether declination is known: configured, or the model's at the first fix and its month."""
+        """Whether declination is known: configured, or the model's at the first fix's place."""
         if self._declination is None:
             if self.config.mag.declination_deg is not None:
                 self._declination = self.config.mag.declination_deg * DEG
@@ -361,7 +366,7 @@ class Engine:
                 nan1,
                 nan1,
                 verdict,
-            )  # fmt: skip
+            )
         )
         for value, count in zip(*np.unique(verdict, return_counts=True), strict=True):
             name = Verdict(int(value)).name.lower()

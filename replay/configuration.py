@@ -25,8 +25,8 @@ _DEFAULT_LATENCY_MS = {
 _UNDERSAMPLED_HZ = 100.0
 _UNDERSAMPLED_NOISE = (0.5, 0.2)
 """Noise [deg/s/√Hz, m/s²/√Hz] of an IMU that is logged slower than that: samples of a 1 kHz sensor
-on a shaking airframe, picked without a filter. Spread of a flight's gyro, 5 to 30 deg/s, over √50 Hz
-is 0.7 to 4; most of it is motion that the trapezoid rule follows."""
+on a shaking airframe, picked without a filter. Spread of a flight's gyro, 5 to 30 deg/s, over
+√50 Hz is 0.7 to 4; most of it is motion that the trapezoid rule follows."""
 
 
 def _imu_rate_hz(recording: Recording) -> float:

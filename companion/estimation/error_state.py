@@ -28,7 +28,7 @@ from companion.navigation.alignment import (
 )
 from companion.navigation.earth import RATE, gravity, ned_difference
 from companion.navigation.rotation import quat_from_rpy, rotate_nav, rpy_from_quat
-from companion.types import NS, F64, I64, Event, Mode
+from companion.types import F64, I64, NS, Event, Mode
 
 MAG_AGE_NS = NS
 RELOCK_FIXES = 4
@@ -153,7 +153,7 @@ class ErrorStateFilter:
                 return
             phase = self.phases[-1]
             if phase.mode is Mode.ALIGNING:
-                self._align(phase, imu, aids, i, j)
+                self._align(phase, imu, aids, j)
                 continue
             # The bank takes turns of one cell of the grid; one filter walks to the end.
             stop = imu.end
@@ -233,7 +233,7 @@ class ErrorStateFilter:
     def _resets(phase: Phase) -> int:
         return int(phase.filters[0].k[lo.RESETS]) if phase.filters else phase.resets
 
-    def _align(self, phase: Phase, imu: SampleBuffer, aids: SampleBuffer, i: int, j: int) -> None:
+    def _align(self, phase: Phase, imu: SampleBuffer, aids: SampleBuffer, j: int) -> None:
         """Look for the first fix that a solution can start from; move on to the end otherwise."""
         last = int(imu.t[imu.end - 1])
         window_ns = round(self.config.alignment.window_s * NS)
@@ -420,9 +420,9 @@ class ErrorStateFilter:
         # Position alone can be off for long where a receiver erred; velocity that never fits means
         # that the attitude is wrong, and of the attitude it is the heading that nothing holds.
         if lost and self.config.alignment.heading != "fixed":
-            self._relearn_heading(phase, f, t, aids, fixes)
+            self._relearn_heading(f, t, aids, fixes)
         else:
-            self._relock(phase, f, t, aids, fixes)
+            self._relock(f, t, aids, fixes)
         return True
 
     def _mixture(self, phase: Phase) -> tuple[int, float]:
@@ -430,7 +430,7 @@ class ErrorStateFilter:
         n = self.layout.n
         ll = np.array([f.s[lo.LOG_LIKELIHOOD] for f in phase.filters])
         likeliest = phase.filters[int(np.argmax(ll))].s
-        # Evidence counts less where even the best hypothesis fits worse than its own covariance says.
+        # Evidence counts less where even the best hypothesis fits worse than its covariance says.
         misfit = max(1.0, likeliest[lo.BANK_NIS] / max(likeliest[lo.BANK_DOF], 1.0))
         weight = np.exp((ll - ll.max()) / (OVERLAP * misfit))
         weight /= weight.sum()
@@ -512,10 +512,8 @@ class ErrorStateFilter:
         k[lo.T_REJECT], k[lo.RESETS] = 0, k[lo.RESETS] + 1
         return s, k
 
-    def _relock(
-        self, phase: Phase, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]
-    ) -> None:
-        """Position aiding has been rejected for long: believe it, the fixes agree among themselves."""
+    def _relock(self, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]) -> None:
+        """Position aiding was rejected for long, and the fixes agree: believe them."""
         s, k = self._restarted(f, t, aids, fixes)
         new = Phase(t + 1, Mode.NAVIGATING, [Filter.start(s, k, self._slots)])
         new.checks = [Check(t)]
@@ -528,9 +526,7 @@ class ErrorStateFilter:
             "warning",
         )
 
-    def _relearn_heading(
-        self, phase: Phase, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]
-    ) -> None:
+    def _relearn_heading(self, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]) -> None:
         """Velocity never fits: back to the bank over headings, level and gyro bias kept roughly."""
         s, k = self._restarted(f, t, aids, fixes)
         n, count = self.layout.n, self.config.alignment.hypotheses

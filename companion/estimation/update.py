@@ -3,8 +3,8 @@
     y = z − h(x),  S = H P Hᵀ + R,  NIS = yᵀ S⁻¹ y against χ²,  K = P Hᵀ S⁻¹,  P ← P − K S Kᵀ
 
 One to three components with independent noise are gated together and then applied one after the
-other. For a scalar and the optimal gain P − (PHᵀ)(PHᵀ)ᵀ/S equals the Joseph form, and its two halves
-are the same products: P stays symmetric to the bit.
+other. For a scalar and the optimal gain P − (PHᵀ)(PHᵀ)ᵀ/S equals the Joseph form, and its two
+halves are the same products: P stays symmetric to the bit.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ WINSOR = 25.0
 
 @njit("f8(f8[:, ::1], f8[::1], i8, f8[:, ::1])", cache=True)
 def normalised_square(S: F64, y: F64, m: int, L: F64) -> float:
-    """yᵀ S⁻¹ y by Cholesky of the leading m×m of ``S``; the factor goes to ``L``. −1: not definite."""
+    """yᵀ S⁻¹ y by Cholesky of the leading m×m of ``S``, factor in ``L``. −1: not definite."""
     total = 0.0
     for i in range(m):
         for j in range(i + 1):

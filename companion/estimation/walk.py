@@ -1,7 +1,7 @@
 """The walk: inertial samples and aiding in order of validity, one kernel for a block or a sample.
 
-Everything that happens to a filter between two moments happens here: strapdown steps, steps split at
-the time of an aid, covariance, aids, constraints, output rows, snapshots. What happens depends on
+Everything that happens to a filter between two moments happens here: strapdown steps, steps split
+at the time of an aid, covariance, aids, constraints, output rows, snapshots. What happens depends on
 the sorted samples alone, never on how they were cut into calls.
 """
 
@@ -149,7 +149,7 @@ def fuse_gnss(
         v = A_VAR_VELOCITY if half >= 2 else A_VAR
         m = 1 if vertical else 2
         if vertical:
-            if not z[o + 2] == z[o + 2]:
+            if math.isnan(z[o + 2]):
                 continue
             R[0] = z[v + 2]
         else:
@@ -295,7 +295,7 @@ def fuse_constraints(
 
 @njit("void(f8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
 def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> None:
-    """Fill an output row from the state; in feedforward mode from INS ⊞ error (``total`` scratch)."""
+    """Fill an output row; in feedforward mode from INS ⊞ error (``total`` is scratch)."""
     for i in range(DX):
         total[i] = s[i]
     if ipar[FEEDFORWARD] == 1:
@@ -354,7 +354,7 @@ def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
         return True
     if k[T_REJECT] > 0 and k[T_IMU] - k[T_REJECT] > ipar[RELOCK_NS]:
         return True
-    return s[VELOCITY_FIT] > LOST_FIT and s[GNSS_SPEED] > LOST_SPEED
+    return bool(s[VELOCITY_FIT] > LOST_FIT and s[GNSS_SPEED] > LOST_SPEED)
 
 
 @njit(
@@ -386,8 +386,9 @@ def walk(
     imu_t (N,) ns and imu (N, 7): gyro [rad/s], specific force [m/s²], integration interval [s]
     or 0; aid_t (M,), aid_kind (M, 2): kind and source, aid (M, AID_SIZE): see the ``A_`` columns.
     Aids after the last sample wait. Output rows go to ``rows`` from ``at[4]`` on, reports to
-    ``reports`` from ``at[5]``, snapshots to the rings ``snaps``, ``snaps_k``. ``at`` is moved on; the code says why the walk
-    ended: all samples taken, a gap before sample ``at[0]``, a state that is not finite, or a decision due.
+    ``reports`` from ``at[5]``, snapshots to the rings ``snaps``, ``snaps_k``. ``at`` is moved on;
+    the code says why the walk ended: all samples taken, a gap before sample ``at[0]``, a state
+    that is not finite, or a decision due.
     """
     n = lay[L_N]
     C = np.empty((3, 3))

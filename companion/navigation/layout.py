@@ -1,8 +1,8 @@
 """Where everything lies: the filter's state as one flat float64 vector beside one int64 vector.
 
 One vector holds all that a moment of the filter is: nominal state, the sums of the running
-covariance interval, the standstill detector, the adaptive scales, and P. Copying it is a snapshot, restoring
-it is going back in time, storing it is a checkpoint for a smoother. Kernels index it with the
+covariance interval, the standstill detector, the adaptive scales, and P. Copying it is a snapshot,
+restoring it is going back in time, storing it is a checkpoint for a smoother. Kernels index it with the
 offsets below; the error state is indexed with :data:`POS` … :data:`GYRO_BIAS` and, for optional
 states, with the :class:`Layout` of a configuration.
 """
