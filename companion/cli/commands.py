@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from replay.configuration import ChosenConfig
     from replay.session import SessionResult
 
-_COMPILING = "Compiling the numerical kernels for this kind of processor (a minute) …"
+_LOADING = "Loading the numerical kernels …"
 
 
 def replay_logs(
@@ -47,7 +47,7 @@ def replay_logs(
     recording, chosen = _read(console, logs, config_path, vehicle_name)
     fit, refused = navigable(recording, vehicle_name)
     path = _out_path(out, logs)
-    with present.notice_if_slow(console, _COMPILING):
+    with present.notice_if_slow(console, _LOADING):
         from replay import session
     for one in refused:
         console.print(f"[yellow]Vehicle {escape(one.name)} left out: {escape(one.reason)}")
@@ -164,7 +164,7 @@ def _solve(
 
     recording, chosen = _read(console, [run], config_path, vehicle_name)
     fit, _ = navigable(recording, vehicle_name)
-    with present.notice_if_slow(console, _COMPILING):
+    with present.notice_if_slow(console, _LOADING):
         from replay import session
     if len(fit) > 1:
         console.print(f"Vehicle {escape(fit[0].name)}, the first of several; --vehicle NAME")
@@ -276,7 +276,7 @@ def _compile_kernels() -> None:
 def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) -> dict[str, Any]:
     """Simulate, and write sensor folder, telemetry log and truth into one directory."""
     _compile_kernels()
-    with present.notice_if_slow(console, _COMPILING):
+    with present.notice_if_slow(console, _LOADING):
         from replay.simulator import load_scenario
         from replay.simulator.flight import write_flight
     made = load_scenario(scenario)
@@ -304,7 +304,7 @@ def run_bench(
 ) -> dict[str, Any]:
     """Measure speed, memory and start-up on this machine."""
     _compile_kernels()
-    with present.notice_if_slow(console, _COMPILING):
+    with present.notice_if_slow(console, _LOADING):
         from replay import bench
     with present.progress(console, "Measuring") as update:
         figures = bench.main(
