@@ -157,13 +157,13 @@ class Engine:
         if self._identity:
             rows[:, :3], rows[:, 3:6] = block.gyro_b, block.accel_b
         else:
-            rows[:, :3] = block.gyro_b @ self._axes.T
-            rows[:, 3:6] = block.accel_b @ self._axes.T
+            rows[:, :3] = _turned(block.gyro_b, self._axes)
+            rows[:, 3:6] = _turned(block.accel_b, self._axes)
         rows[:, 6] = np.where(block.interval_s > 0, block.interval_s, 0.0)
         self.counters.imu += len(t)
         if not np.isfinite(rows.sum()):
             good = np.isfinite(rows[:, :6]).all(axis=1)
-            self.counters.imu_not_finite += int(len(good) - good.sum())
+            self.counters.imu_not_finite += len(t) - int(good.sum())
             t, rows = t[good], rows[good]
         parts: list[Outputs] = []
         head = self._head
@@ -292,7 +292,7 @@ class Engine:
         t = samples.t_ns - round(self.config.mag.latency_ms * 1e6)
         rows[:, :3] = samples.field_b - np.array(self.config.mag.hard_iron_t)
         if not self._identity:
-            rows[:, :3] = rows[:, :3] @ self._axes.T
+            rows[:, :3] = _turned(rows[:, :3], self._axes)
         rows[:, w.A_VAR] = (self.config.mag.sd_deg * DEG) ** 2
         rows[:, w.A_AZIMUTH] = self._declination
         strength = np.linalg.norm(rows[:, :3], axis=1)
@@ -442,6 +442,14 @@ class Engine:
 _NO_REPORTS = AidingReports.empty()
 _NO_SOLUTION = Solution.empty()
 _NOTHING = Outputs(_NO_SOLUTION, _NO_SOLUTION, _NO_REPORTS, ())
+
+
+def _turned(v: F64, axes: F64) -> F64:
+    """Vectors (N, 3) turned by ``axes`` (3, 3), summed in one order.
+
+    A matrix product may sum otherwise for another N or processor, and the bits with it.
+    """
+    return np.stack([v[:, 0] * a[0] + v[:, 1] * a[1] + v[:, 2] * a[2] for a in axes], axis=1)
 
 
 def _solution(t: I64, r: F64) -> Solution:

@@ -1,8 +1,8 @@
 """The walk: inertial samples and aiding in order of validity, one kernel for a block or a sample.
 
 Everything that happens to a filter between two moments happens here: strapdown steps, steps split
-at the time of an aid, covariance, aids, constraints, output rows, snapshots. What happens depends on
-the sorted samples alone, never on how they were cut into calls.
+at the time of an aid, covariance, aids, constraints, output rows, snapshots. What happens depends
+on the sorted samples alone, never on how they were cut into calls.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 One vector holds all that a moment of the filter is: nominal state, the sums of the running
 covariance interval, the standstill detector, the adaptive scales, and P. Copying it is a snapshot,
-restoring it is going back in time, storing it is a checkpoint for a smoother. Kernels index it with the
-offsets below; the error state is indexed with :data:`POS` … :data:`GYRO_BIAS` and, for optional
+restoring it is going back in time, storing it is a checkpoint for a smoother. Kernels index it with
+the offsets below; the error state is indexed with :data:`POS` … :data:`GYRO_BIAS` and, for optional
 states, with the :class:`Layout` of a configuration.
 """
 

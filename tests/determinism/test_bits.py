@@ -15,10 +15,17 @@ from companion.types import AnySamples, ImuSamples, Solution, VehicleRecording
 from replay.player import arrivals, play
 from replay.simulator import load_scenario, matching_config, simulate
 
+_LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
 
 def _flight(name: str, heading: str = "auto") -> tuple[VehicleRecording, Config]:
     scenario = load_scenario(name)
     config = matching_config(scenario)
+    # A tilted mounting, so that the turn into body axes is part of what must not change.
+    s, c = 0.6, 0.8
+    axes = ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
+    imu = msgspec.structs.replace(config.imu, axes=axes if name.startswith("multi") else _LEVEL)
+    config = msgspec.structs.replace(config, imu=imu)
     alignment = msgspec.structs.replace(config.alignment, heading=heading)
     gnss = msgspec.structs.replace(config.gnss, latency_ms=0.0)
     return simulate(scenario, 3), msgspec.structs.replace(config, alignment=alignment, gnss=gnss)
