@@ -29,6 +29,10 @@ on a shaking airframe, picked without a filter. Spread of a flight's gyro, 5 to 
 √50 Hz is 0.7 to 4; most of it is motion that the trapezoid rule follows."""
 
 
+_SLOW_ERROR = {"slow_error_sd_m": 1.0, "slow_error_height_sd_m": 1.7, "slow_error_tau_s": 60.0}
+"""A single-band receiver wanders: what it repeats for a minute must not be averaged away."""
+
+
 def _imu_rate_hz(recording: Recording) -> float:
     """Rate of the inertial stream that the engine would use; 0 without one."""
     for vehicle in recording.vehicles:
@@ -73,7 +77,9 @@ def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfi
         config = msgspec.structs.replace(
             base,
             imu=msgspec.structs.replace(imu, latency_ms=imu_ms),
-            gnss=msgspec.structs.replace(base.gnss, latency_ms=gnss_ms, latency_sd_ms=40.0),
+            gnss=msgspec.structs.replace(
+                base.gnss, latency_ms=gnss_ms, latency_sd_ms=40.0, **_SLOW_ERROR
+            ),
         )
         origin = (
             f"defaults for a {recording.format} log: {sampling}, "

@@ -26,8 +26,8 @@ from companion.navigation.alignment import (
     heading_from_field,
     level,
 )
-from companion.navigation.earth import RATE, gravity, ned_difference
-from companion.navigation.rotation import quat_from_rpy, rotate_nav, rpy_from_quat
+from companion.navigation.earth import RATE, earth_rate_n, gravity, ned_difference
+from companion.navigation.rotation import matrix_from_quat, quat_from_rpy, rotate_nav, rpy_from_quat
 from companion.types import F64, I64, NS, Event, Mode
 
 MAG_AGE_NS = NS
@@ -374,7 +374,14 @@ class ErrorStateFilter:
         P[6:9, 6:9] = attitude
         P[6:9, 9:12] = cross
         P[9:12, 6:9] = cross.T
-        P[range(12, 15), range(12, 15)] = lev.gyro_bias_var
+        gyro_var = lev.gyro_bias_var
+        if lev.static:
+            # Each heading says what of the mean rate is Earth's, as far as it is right itself.
+            earth = earth_rate_n(float(fix[0]))
+            in_body = (matrix_from_quat(s[:4]) * earth[:, None]).sum(axis=0)
+            s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] -= in_body
+            gyro_var = gyro_var + (RATE * min(yaw_sd, 1.0)) ** 2
+        P[range(12, 15), range(12, 15)] = gyro_var
         # rate and force at the fix, between the samples around it
         t0 = int(imu.t[b - 1])
         s[lo.LAST_GYRO : lo.LAST_GYRO + 6] = imu.rows[b - 1, :6]

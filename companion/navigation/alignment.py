@@ -17,7 +17,6 @@ from companion.types import F64, I64
 
 MOVING_TILT_SD = math.radians(6.0)
 """Tilt uncertainty of levelling in motion: 1 m/s² of unknown acceleration over the window."""
-EARTH_RATE_SD = 7.3e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +27,7 @@ class Level:
     pitch: float
     static: bool
     gyro_bias_b: F64
-    """(3,) mean rate over a static window, else the prior [rad/s]."""
+    """(3,) mean rate over a static window, Earth's rate included; else the prior [rad/s]."""
     gyro_bias_var: F64
     tilt_var: float
     """Beyond what accelerometer bias does [rad²]."""
@@ -63,10 +62,10 @@ def level(
     span = max((t_ns[-1] - t_ns[0]) * 1e-9, 1e-3)
     g2 = fx * fx + fy * fy + fz * fz
     if static:
-        # What is left of Earth's rate in the mean is unknown without a heading.
-        bias = mean[:3].copy()
-        var = np.full(3, gyro_psd / span + EARTH_RATE_SD**2) + spread[:3] ** 2 / 16.0
-        tilt = accel_psd / span / g2 + float(np.max(spread[3:5]) ** 2) / 16.0 / g2
+        bias = mean[:3].copy()  # Earth's rate included: it takes a heading to tell it apart
+        # The quarters scatter by the same noise that the density states: the larger, not the sum.
+        var = np.maximum(gyro_psd / span, spread[:3] ** 2 / 16.0)
+        tilt = max(accel_psd / span, float(np.max(spread[3:5])) ** 2 / 16.0) / g2
     else:
         bias, var = prior_bias.copy(), prior_var.copy()
         tilt = MOVING_TILT_SD**2
