@@ -143,12 +143,12 @@ def flight(name: str, config: Config) -> dict[str, list[float]]:
     return end_errors
 
 
-def main(config_path: Path) -> None:
-    """Print the tables of all flights."""
-    config = load(config_path)
+def main(config_path: Path | None) -> None:
+    """Print the tables of all flights, each vehicle with its own configuration or the given one."""
     for name in FLIGHTS:
-        flight(name, config)
+        own = "sitl-plane.toml" if "plane" in name else "sitl.toml"
+        flight(name, load(config_path or ROOT / "configs" / own))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "configs" / "sitl.toml")
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
