@@ -116,7 +116,6 @@ class ErrorStateFilter:
         self.rows = SampleBuffer(w.ROW_SIZE)
         self.reports = SampleBuffer(REPORT_SIZE)
         self.events: list[Event] = []
-        self._declination: float | None = None
 
     # ------------------------------------------------------------------ time
 
