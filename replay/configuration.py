@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
-from companion.config import Config, load, parse
+from companion.config import Config, load, parse, to_toml
 from companion.types import Recording
 
 _DEFAULT_LATENCY_MS = {
@@ -88,25 +87,3 @@ def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfi
     else:
         config, origin = Config(), "defaults: consumer MEMS, no latency (--config says it better)"
     return ChosenConfig(config, origin, to_toml(config))
-
-
-def to_toml(config: Config) -> str:
-    """The configuration as TOML with every key spelled out; :func:`parse` gives it back."""
-    lines: list[str] = []
-    for section, values in msgspec.to_builtins(config).items():
-        lines.append(f"[{section}]")
-        # TOML has no null: an absent key is what stands for None.
-        lines += [f"{key} = {_value(value)}" for key, value in values.items() if value is not None]
-        lines.append("")
-    return "\n".join(lines)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        # A JSON string is a TOML basic string, but for DEL, which TOML wants escaped.
-        return msgspec.json.encode(value).decode().replace("\x7f", "\\u007f")
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
-    return repr(value)

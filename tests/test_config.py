@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.config import Config, load, parse
+from companion.config import Config, load, parse, to_toml
 from companion.types import ConfigError, Recording
-from replay.configuration import choose_config, to_toml
+from replay.configuration import choose_config
 
 CONFIGS = sorted((Path(__file__).resolve().parent.parent / "configs").glob("*.toml"))
 

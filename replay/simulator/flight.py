@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from companion.config import to_toml
 from companion.types import VehicleRecording
-from replay.configuration import to_toml
 from replay.sensor_folder_writer import write_folder
 from replay.simulator.matching import matching_config
 from replay.simulator.scenarios import Scenario

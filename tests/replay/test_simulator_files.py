@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.config import parse
+from companion.config import parse, to_toml
 from companion.types import NS, CompanionError, ConfigError, VehicleRecording
-from replay.configuration import to_toml
 from replay.reader import read_log
 from replay.simulator.aids import BaroSpec, GnssSpec, MagSpec, Outage
 from replay.simulator.flight import write_flight

@@ -1,35 +1,21 @@
-"""Configuration: TOML in, typed and checked values out.
+"""Configuration of the estimator: what the sensors are and how the engine treats them.
 
-Keys carry their unit in their name and are converted to SI and radians by the consumer's
-``*_si`` properties here, nowhere else. Unknown keys fail, with the nearest known one named.
+These sections are all that the engine sees; they alone decide the bits of a solution.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
-import tomllib
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import msgspec
-
-from companion.types import ConfigError
-
-DEG = math.pi / 180.0
-G0 = 9.80665
+from companion.config.section import Section
 
 
-class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of all sections: immutable, keyword-only, closed to unknown keys."""
-
-
-class Vehicle(_Section):
+class Vehicle(Section):
     name: str = "vehicle"
     kind: Literal["multirotor", "fixed-wing", "ground", "handheld", "unknown"] = "unknown"
 
 
-class Imu(_Section):
+class Imu(Section):
     """Inertial sensor: as its datasheet gives it. Defaults: a consumer MEMS on a vibrating body."""
 
     source: str = "auto"
@@ -59,7 +45,7 @@ class Imu(_Section):
     accel_scale_sd_ppm: float = 5000.0
 
 
-class Gnss(_Section):
+class Gnss(Section):
     source: str = "auto"
     latency_ms: float = 0.0
     """Stamp (or arrival) − validity of a fix."""
@@ -90,7 +76,7 @@ class Gnss(_Section):
     slow_error_tau_s: float = 120.0
 
 
-class Baro(_Section):
+class Baro(Section):
     use: bool = True
     latency_ms: float = 0.0
     sd_m: float = 1.0
@@ -98,7 +84,7 @@ class Baro(_Section):
     """Random walk of the offset between pressure height and the GNSS datum [m/√s]."""
 
 
-class Mag(_Section):
+class Mag(Section):
     use: bool = False
     latency_ms: float = 0.0
     sd_deg: float = 5.0
@@ -110,7 +96,7 @@ class Mag(_Section):
     hard_iron_t: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-class Constraints(_Section):
+class Constraints(Section):
     """Pseudo-measurements that follow from what the vehicle is."""
 
     zero_velocity: bool = True
@@ -134,7 +120,7 @@ class Constraints(_Section):
     course_sd_deg: float = 3.0
 
 
-class Alignment(_Section):
+class Alignment(Section):
     heading: Literal["auto", "magnetometer", "course", "unknown", "fixed"] = "auto"
     """``auto``: magnetometer with ``mag.use``, course with ``constraints.course``, else unknown."""
     fixed_heading_deg: float = 0.0
@@ -145,7 +131,7 @@ class Alignment(_Section):
     heading_found_sd_deg: float = 8.0
 
 
-class EngineConfig(_Section):
+class EngineConfig(Section):
     estimator: Literal["error-state"] = "error-state"
     correction: Literal["feedback", "feedforward"] = "feedback"
     covariance_rate_hz: float = 50.0
@@ -163,118 +149,3 @@ class EngineConfig(_Section):
     gate_relock_s: float = 10.0
     """Position aiding rejected by the gate for this long: declared reset of position and
     velocity to several mutually consistent fixes."""
-
-
-class Config(_Section):
-    vehicle: Vehicle = Vehicle()
-    imu: Imu = Imu()
-    gnss: Gnss = Gnss()
-    baro: Baro = Baro()
-    mag: Mag = Mag()
-    constraints: Constraints = Constraints()
-    alignment: Alignment = Alignment()
-    engine: EngineConfig = EngineConfig()
-
-
-def _known_keys(path: str) -> list[str]:
-    section: Any = Config
-    for part in [p for p in path.split(".") if p]:
-        found = {f.name: f.type for f in msgspec.structs.fields(section)}.get(part)
-        if found is None or not isinstance(found, type) or not issubclass(found, _Section):
-            return []
-        section = found
-    return [f.name for f in msgspec.structs.fields(section)]
-
-
-def _explain(error: msgspec.ValidationError) -> str:
-    text = str(error)
-    path = ""
-    if " - at `$." in text:
-        path = text.split(" - at `$.")[1].rstrip("`")
-    if "unknown field" in text:
-        bad = text.split("unknown field `")[1].split("`")[0]
-        near = difflib.get_close_matches(bad, _known_keys(path), n=1)
-        where = f"{path}.{bad}" if path else bad
-        return f"unknown key '{where}'" + (f"; did you mean '{near[0]}'?" if near else "")
-    return f"key '{path}': {text.split(' - at')[0]}" if path else text
-
-
-_POSITIVE = (
-    "imu.gyro_noise_dps_rthz",
-    "imu.accel_noise_mps2_rthz",
-    "imu.gyro_bias_sd_dps",
-    "imu.accel_bias_sd_mps2",
-    "gnss.sd_position_m",
-    "gnss.sd_height_m",
-    "gnss.sd_velocity_mps",
-    "gnss.sd_velocity_down_mps",
-    "gnss.slow_error_tau_s",
-    "baro.sd_m",
-    "mag.sd_deg",
-    "mag.max_rate_hz",
-    "constraints.zero_velocity_sd_mps",
-    "constraints.zero_rate_sd_dps",
-    "constraints.standstill_window_s",
-    "constraints.non_holonomic_sd_mps",
-    "constraints.non_holonomic_rate_hz",
-    "constraints.course_sd_deg",
-    "alignment.window_s",
-    "engine.covariance_rate_hz",
-    "engine.output_rate_hz",
-    "engine.delay_ring_s",
-    "engine.imu_gap_bridge_s",
-)
-
-
-def _check(config: Config) -> None:
-    for key in _POSITIVE:
-        section, name = key.split(".")
-        value = getattr(getattr(config, section), name)
-        if not (math.isfinite(value) and value > 0):
-            raise ConfigError(f"key '{key}': must be positive, got {value}")
-    axes = config.imu.axes
-    if len(axes) != 3:
-        raise ConfigError("key 'imu.axes': must have three rows of three numbers")
-    for i in range(3):
-        for j in range(3):
-            dot = sum(a * b for a, b in zip(axes[i], axes[j], strict=True))
-            if not abs(dot - (i == j)) <= 1e-6:
-                raise ConfigError("key 'imu.axes': rows must be orthonormal (a rotation)")
-    (a, b, c), (d, e, f), (g, h, i_) = axes
-    if a * (e * i_ - f * h) - b * (d * i_ - f * g) + c * (d * h - e * g) < 0:
-        raise ConfigError("key 'imu.axes': determinant is −1; a rotation has +1 (swap a sign)")
-    for key, limit in (("imu.latency_ms", 500.0), ("gnss.latency_ms", 2000.0)):
-        section, name = key.split(".")
-        value = getattr(getattr(config, section), name)
-        if not 0 <= value <= limit:
-            raise ConfigError(f"key '{key}': milliseconds between 0 and {limit:g}, got {value}")
-    if not 0.5 < config.engine.gate_probability < 1:
-        raise ConfigError("key 'engine.gate_probability': between 0.5 and 1, such as 0.9999")
-    if not 4 <= config.alignment.hypotheses <= 72:
-        raise ConfigError("key 'alignment.hypotheses': between 4 and 72")
-
-
-def parse(text: str, origin: str = "configuration") -> Config:
-    """Typed configuration from TOML text.
-
-    Raises :class:`ConfigError` with ``origin`` and the offending key.
-    """
-    try:
-        config = msgspec.convert(tomllib.loads(text), Config)
-        _check(config)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{origin}: not valid TOML: {error}") from None
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{origin}: {_explain(error)}") from None
-    except ConfigError as error:
-        raise ConfigError(f"{origin}: {error}") from None
-    return config
-
-
-def load(path: Path) -> Config:
-    """Typed configuration from a TOML file."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
-    return parse(text, str(path))
