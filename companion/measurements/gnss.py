@@ -19,6 +19,7 @@ from companion.navigation.layout import (
     GYRO_SCALE_B,
     HEIGHT,
     L_GNSS,
+    L_GYRO_SCALE,
     L_LEVER,
     L_N,
     LAST_GYRO,
@@ -90,6 +91,10 @@ def velocity(s: F64, lay: I64, C: F64, z: F64, H: F64, y: F64) -> None:
         H[i, GYRO_BIAS] = C[i, 1] * lz - C[i, 2] * ly
         H[i, GYRO_BIAS + 1] = C[i, 2] * lx - C[i, 0] * lz
         H[i, GYRO_BIAS + 2] = C[i, 0] * ly - C[i, 1] * lx
+        if lay[L_GYRO_SCALE] >= 0:
+            # δω = −diag(ω_measured) δs_g
+            for j in range(3):
+                H[i, lay[L_GYRO_SCALE] + j] = H[i, GYRO_BIAS + j] * s[LAST_GYRO + j]
         if lay[L_LEVER] >= 0:
             k = lay[L_LEVER]
             H[i, k] = C[i, 1] * wz - C[i, 2] * wy

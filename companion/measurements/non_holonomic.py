@@ -1,7 +1,7 @@
 """Non-holonomic constraint: a wheeled vehicle's rear axle moves neither sideways nor up and down.
 
 v_b = C_bn v_n + ω × l at the axle; 0 = v_b[right, down]. With C_true = (I + [φ×]) C:
-δv_b = C_bn δv + C_bn [v_n×] φ + [l×] δb_g.  Dissanayake et al. 2001.
+δv_b = C_bn δv + C_bn [v_n×] φ + [l×] (δb_g + diag(ω_measured) δs_g).  Dissanayake et al. 2001.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from companion.navigation.layout import (
     GYRO_BIAS,
     GYRO_BIAS_B,
     GYRO_SCALE_B,
+    L_GYRO_SCALE,
     L_N,
     LAST_GYRO,
     VEL,
@@ -42,3 +43,7 @@ def sideways(s: F64, lay: I64, C: F64, lx: float, ly: float, lz: float, H: F64, 
     y[1] -= wx * ly - wy * lx
     H[0, GYRO_BIAS], H[0, GYRO_BIAS + 2] = lz, -lx
     H[1, GYRO_BIAS], H[1, GYRO_BIAS + 1] = -ly, lx
+    if lay[L_GYRO_SCALE] >= 0:
+        for r in range(2):
+            for j in range(3):
+                H[r, lay[L_GYRO_SCALE] + j] = H[r, GYRO_BIAS + j] * s[LAST_GYRO + j]

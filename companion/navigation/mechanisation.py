@@ -142,15 +142,18 @@ def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, scale: boo
     s[SUM_V + 1] += fy
     s[SUM_V + 2] += fz
     s[SUM_T] += dt
+    part = 0.0 if integral else 0.5 * dt
+    rest = dt - part
     for i in range(3):
         c0, c1, c2 = C[i, 0], C[i, 1], C[i, 2]
         s[SUM_C + 3 * i] += c0 * dt
         s[SUM_C + 3 * i + 1] += c1 * dt
         s[SUM_C + 3 * i + 2] += c2 * dt
         if scale:
-            s[SUM_CF + 3 * i] += c0 * ax
-            s[SUM_CF + 3 * i + 1] += c1 * ay
-            s[SUM_CF + 3 * i + 2] += c2 * az
-            s[SUM_CW + 3 * i] += c0 * wx
-            s[SUM_CW + 3 * i + 1] += c1 * wy
-            s[SUM_CW + 3 * i + 2] += c2 * wz
+            # A scale factor multiplies what was measured, biases included.
+            s[SUM_CF + 3 * i] += c0 * (part * first[3] + rest * last[3])
+            s[SUM_CF + 3 * i + 1] += c1 * (part * first[4] + rest * last[4])
+            s[SUM_CF + 3 * i + 2] += c2 * (part * first[5] + rest * last[5])
+            s[SUM_CW + 3 * i] += c0 * (part * first[0] + rest * last[0])
+            s[SUM_CW + 3 * i + 1] += c1 * (part * first[1] + rest * last[1])
+            s[SUM_CW + 3 * i + 2] += c2 * (part * first[2] + rest * last[2])

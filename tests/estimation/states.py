@@ -22,6 +22,8 @@ def random_state(rng: np.random.Generator, layout: lo.Layout) -> F64:
     s[lo.VEL_N : lo.VEL_N + 3] = rng.normal(0, 15, 3)
     s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = rng.normal(0, 0.1, 3)
     s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = rng.normal(0, 0.005, 3)
+    if layout.accel_scale >= 0:
+        s[lo.ACCEL_SCALE_B : lo.ACCEL_SCALE_B + 6] = rng.normal(0, 0.005, 6)
     s[lo.LEVER_B : lo.LEVER_B + 3] = rng.normal(0, 1, 3)
     s[lo.LAST_GYRO : lo.LAST_GYRO + 3] = rng.normal(0, 0.5, 3)
     s[lo.LAST_ACCEL : lo.LAST_ACCEL + 3] = rng.normal([0, 0, -9.8], 2)
@@ -40,10 +42,21 @@ def covariance(s: F64, layout: lo.Layout) -> F64:
     return s[lo.P :].reshape(layout.n, layout.n)
 
 
-def box_minus(a: F64, b: F64) -> F64:
-    """The core error (15,) that moves ``b`` to ``a``: the inverse of ⊞."""
+def box_minus(a: F64, b: F64, layout: lo.Layout = CORE) -> F64:
+    """The error (n,) that moves ``b`` to ``a``: the inverse of ⊞."""
     llh = ned_difference(a[4:5], a[5:6], a[6:7], b[4:5], b[5:6], b[6:7])[0]
-    return np.concatenate(
+    out = np.zeros(layout.n)
+    out[:15] = np.concatenate(
         [llh, a[lo.VEL_N : lo.VEL_N + 3] - b[lo.VEL_N : lo.VEL_N + 3],
          attitude_error_n(a[:4], b[:4]), a[lo.ACCEL_BIAS_B : 16] - b[lo.ACCEL_BIAS_B : 16]]
     )  # fmt: skip
+    for at, offset, size in (
+        (layout.accel_scale, lo.ACCEL_SCALE_B, 3),
+        (layout.gyro_scale, lo.GYRO_SCALE_B, 3),
+        (layout.lever, lo.LEVER_B, 3),
+        (layout.baro, lo.BARO_BIAS, 1),
+        (layout.gnss, lo.GNSS_BIAS, 3),
+    ):
+        if at >= 0:
+            out[at : at + size] = a[offset : offset + size] - b[offset : offset + size]
+    return out

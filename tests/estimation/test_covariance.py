@@ -24,10 +24,10 @@ STEP = np.repeat([10.0, 1e-2, 1e-4, 1e-3, 1e-4], 3)
 """Half width of the differences: far above rounding, far below any curvature."""
 
 
-def _fly(s: F64, imu: F64, dt: float) -> None:
+def _fly(s: F64, imu: F64, dt: float, integral: bool = False) -> None:
     C = np.empty((3, 3))
     for a, b in pairwise(imu):
-        advance(s, a, b, dt, False, True, C)
+        advance(s, a, b, dt, integral, True, C)
 
 
 def _samples(rng: np.random.Generator, count: int) -> F64:
@@ -49,44 +49,76 @@ def _dense(s: F64, layout: lo.Layout) -> F64:
     return phi
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize(("steps", "dt"), [(1, 0.005), (4, 0.005), (2, 0.01), (20, 0.001)])
-def test_transition_is_the_derivative_of_the_mechanisation(
-    seed: int, steps: int, dt: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    s = random_state(rng, CORE)
-    imu = _samples(rng, steps + 1)
-    lay = CORE.vector()
-    end = s.copy()
-    _fly(end, imu, dt)
-    phi = _dense(end, CORE)
-    numeric = np.empty((15, 15))
-    for j in range(15):
-        dx = np.zeros(15)
-        dx[j] = STEP[j]
+def _numeric(s: F64, imu: F64, dt: float, layout: lo.Layout, integral: bool) -> F64:
+    """∂ end / ∂ start (n, n) of the strapdown kernel by central differences through ⊞."""
+    n, lay = layout.n, layout.vector()
+    step = np.full(n, 1e-3)
+    step[:15] = STEP
+    out = np.empty((n, n))
+    for j in range(n):
+        dx = np.zeros(n)
+        dx[j] = step[j]
         plus, minus = s.copy(), s.copy()
         box_plus(plus, lay, dx)
         box_plus(minus, lay, -dx)
-        _fly(plus, imu, dt)
-        _fly(minus, imu, dt)
-        numeric[:, j] = box_minus(plus, minus) / (2 * STEP[j])
+        _fly(plus, imu, dt, integral)
+        _fly(minus, imu, dt, integral)
+        out[:, j] = box_minus(plus, minus, layout) / (2 * step[j])
+    return out
+
+
+@pytest.mark.parametrize("integral", [False, True], ids=["instants", "integrals"])
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("steps", "dt"), [(1, 0.005), (4, 0.005), (2, 0.01), (20, 0.001)])
+def test_transition_is_the_derivative_of_the_mechanisation(
+    seed: int, steps: int, dt: float, integral: bool
+) -> None:
+    """All states, the columns of the scale factors with them."""
+    rng = np.random.default_rng(seed)
+    s = random_state(rng, ALL)
+    imu = _samples(rng, steps + 1)
+    end = s.copy()
+    _fly(end, imu, dt, integral)
+    phi = _dense(end, ALL)
+    numeric = _numeric(s, imu, dt, ALL, integral)
     T = steps * dt
     w, f = (np.abs(part).sum(axis=1).max() for part in (imu[:, :3], imu[:, 3:]))
     # Attitude within a step is taken at its start, ½ ω dt off; what Φ keeps of order T² through
-    # attitude errs by ω T of it; position paths are cut after their leading order.
-    tolerance = np.full((15, 15), 1e-7)
-    tolerance[6:9, 12:] += 0.6 * w * dt * T
-    tolerance[3:6, 9:12] += 0.6 * w * dt * T
-    tolerance[3:6, 12:] += f * T * T * (0.6 * w * T + 0.6 * dt / T)
-    tolerance[0:3, 9:12] += 0.6 * w * T * T * T + 0.6 * w * dt * T * T
-    tolerance[0:3, 12:] += f * T**3
+    # attitude errs by ω T of it; position paths are cut after their leading order. A scale factor
+    # works as a bias of that part of the force or rate.
+    tolerance = np.full((ALL.n, ALL.n), 1e-7)
+    for accel, gyro, by_f, by_w in (
+        (9, 12, 1.0, 1.0),
+        (ALL.accel_scale, ALL.gyro_scale, f, w),
+    ):
+        a, g = slice(accel, accel + 3), slice(gyro, gyro + 3)
+        tolerance[6:9, g] += by_w * 0.6 * w * dt * T
+        tolerance[3:6, a] += by_f * 0.6 * w * dt * T
+        tolerance[3:6, g] += by_w * f * T * T * (0.6 * w * T + 0.6 * dt / T)
+        tolerance[0:3, a] += by_f * (0.6 * w * T * T * T + 0.6 * w * dt * T * T)
+        tolerance[0:3, g] += by_w * f * T**3
     # ∫∫f of the kernel and transport during the interval: rates of 1e-4 rad/s.
     tolerance[0:6, 6:9] += 1e-4 * f * T * T + f * dt * dt
     tolerance[0:3, 3:6] += 1e-4 * T
     # Each step rounds the last bit of a longitude of 3 rad, 3 nm, in both runs.
-    tolerance[0:3] += (1 + steps) * 3e-9 / STEP
+    step = np.full(ALL.n, 1e-3)
+    step[:15] = STEP
+    tolerance[0:3] += (1 + steps) * 3e-9 / step
     assert np.all(np.abs(phi - numeric) < tolerance), np.abs(phi - numeric).max(axis=1)
+
+
+def test_a_scale_factor_multiplies_what_was_measured() -> None:
+    """Biases included: the columns are those of the bias times the measured force and rate."""
+    s = random_state(np.random.default_rng(3), ALL)
+    s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = 0.5
+    s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = 0.05
+    sample = np.array([0.3, -0.2, 0.1, 1.0, -2.0, -9.8])
+    _fly(s, np.tile(sample, (2, 1)), 0.005)
+    phi = _dense(s, ALL)
+    force = phi[3:6, ALL.accel_scale : ALL.accel_scale + 3]
+    rates = phi[6:9, ALL.gyro_scale : ALL.gyro_scale + 3]
+    assert np.allclose(force, phi[3:6, 9:12] * sample[3:], rtol=1e-12)
+    assert np.allclose(rates, phi[6:9, 12:15] * sample[:3], rtol=1e-12)
 
 
 def test_gyro_bias_and_tilt_signs() -> None:
