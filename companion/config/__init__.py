@@ -151,6 +151,12 @@ def _check(config: Config) -> None:
         value = getattr(getattr(config, section), name)
         if not (math.isfinite(value) and value > 0):
             raise ConfigError(f"key '{key}': must be positive, got {value}")
+    for key, biases, limit, unit in (
+        ("imu.gyro_bias_dps", config.imu.gyro_bias_dps, 100.0, "deg/s"),
+        ("imu.accel_bias_mps2", config.imu.accel_bias_mps2, 10.0, "m/s²"),
+    ):
+        if not all(abs(value) <= limit for value in biases):
+            raise ConfigError(f"key '{key}': three numbers within ±{limit:g} {unit}, got {biases}")
     axes = config.imu.axes
     if len(axes) != 3:
         raise ConfigError("key 'imu.axes': must have three rows of three numbers")

@@ -27,7 +27,9 @@ class Imu(Section):
     gyro_noise_dps_rthz: float = 0.02
     """Angle random walk as noise density [deg/s/√Hz]; deg/√h ÷ 60."""
     gyro_bias_sd_dps: float = 0.5
-    """Turn-on bias, 1σ [deg/s]."""
+    """Turn-on bias, or what is left of it beyond ``gyro_bias_dps``, 1σ [deg/s]."""
+    gyro_bias_dps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Bias to start with, body FRD [deg/s]: where an earlier run or a calibration left it."""
     gyro_bias_walk_dps_rts: float = 0.001
     """Rate random walk [deg/s/√s]."""
     gyro_bias_tau_s: float = 0.0
@@ -35,6 +37,8 @@ class Imu(Section):
     accel_noise_mps2_rthz: float = 0.01
     """Velocity random walk as noise density [m/s²/√Hz]; m/s/√h ÷ 60."""
     accel_bias_sd_mps2: float = 0.2
+    accel_bias_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The same for the accelerometer, body FRD [m/s²]."""
     accel_bias_walk_mps2_rts: float = 0.0005
     accel_bias_tau_s: float = 0.0
     vibration_gain_rthz: float = 0.05

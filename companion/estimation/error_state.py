@@ -254,12 +254,9 @@ class ErrorStateFilter:
         """Start the filter or the bank at fix ``j``, levelled on samples ``a`` to ``b``."""
         cfg, t, fix = self.config, int(aids.t[j]), aids.rows[j]
         prior_var = par.initial_variances(cfg, self.layout)
-        prior_bias = np.zeros(3)
-        old = phase.prior
+        accel_bias, gyro_bias = self._known_biases(phase, prior_var)
         speed = math.hypot(fix[3], fix[4]) if np.isfinite(fix[3]) else math.nan
         slow = not speed > cfg.constraints.standstill_speed_mps + 2 * math.sqrt(fix[9])
-        if old is not None:
-            prior_bias = old.s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3].copy()
         lev = level(
             imu.t[a:b],
             imu.rows[a:b],
@@ -268,8 +265,9 @@ class ErrorStateFilter:
             may_be_static=slow,
             gyro_psd=self._par[par.GYRO_PSD],
             accel_psd=self._par[par.ACCEL_PSD],
-            prior_bias=prior_bias,
+            prior_bias=gyro_bias,
             prior_var=prior_var[lo.GYRO_BIAS : lo.GYRO_BIAS + 3],
+            accel_bias=accel_bias,
         )
         yaw, yaw_sd, slope, how = self._heading(lev, aids, j, speed)
         headings = [yaw]
@@ -278,7 +276,10 @@ class ErrorStateFilter:
             headings = [2 * math.pi * m / count - math.pi for m in range(count)]
             yaw_sd = math.pi / count
         filters = [
-            self._initial(lev, h, yaw_sd, slope, fix, imu, b, t, phase, prior_var) for h in headings
+            self._initial(
+                lev, h, yaw_sd, slope, fix, imu, b, t, phase, prior_var, accel_bias, gyro_bias
+            )
+            for h in headings
         ]
         mode = Mode.HEADING_UNKNOWN if how == "unknown" else Mode.NAVIGATING
         new = Phase(t, mode, filters, resets=phase.resets)
@@ -296,6 +297,24 @@ class ErrorStateFilter:
             f"levelled {state}: roll {math.degrees(lev.roll):.1f}°, pitch "
             f"{math.degrees(lev.pitch):.1f}°; {heading}",
         )
+
+    def _known_biases(self, phase: Phase, var: F64) -> tuple[F64, F64]:
+        """Accelerometer and gyro bias before levelling; their variances in ``var`` (n,) follow.
+
+        Configured at the first start, the old filter's after a declared reset.
+        """
+        old = phase.prior
+        if old is None:
+            return par.initial_biases(self.config)
+        n = self.layout.n
+        old_var = np.diag(old.s[lo.P :].reshape(n, n))
+        # Its deviation doubled, for what a reset may hide; the turn-on one bounds it from above for
+        # the accelerometer, whose bias is slow to find, and from below for the gyro.
+        var[9:12] = np.minimum(np.maximum(var[9:12], old_var[9:12]), 4.0 * old_var[9:12])
+        var[12:15] = np.maximum(var[12:15], 4.0 * old_var[12:15])
+        # In feedforward mode the estimate is beside the nominal state.
+        bias = old.s[lo.ACCEL_BIAS_B : lo.GYRO_BIAS_B + 3] + old.s[lo.DX + 9 : lo.DX + 15]
+        return bias[:3], bias[3:]
 
     def _heading(
         self, lev: Level, aids: SampleBuffer, j: int, speed: float
@@ -334,6 +353,8 @@ class ErrorStateFilter:
         t: int,
         phase: Phase,
         prior_var: F64,
+        accel_bias: F64,
+        gyro_bias: F64,
     ) -> Filter:
         """The filter's first state at fix time ``t``."""
         n = self.layout.n
@@ -342,21 +363,15 @@ class ErrorStateFilter:
         s[lo.LAT : lo.LAT + 3] = fix[:3]
         lever = np.array(self.config.gnss.lever_arm_b_m)
         s[lo.LEVER_B : lo.LEVER_B + 3] = lever
-        s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = lev.gyro_bias_b
+        s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = accel_bias
         s[lo.R_SCALE : lo.R_SCALE + lo.CHANNELS] = 1.0
         s[lo.EARTH_RATE] = RATE
         P = s[lo.P :].reshape(n, n)
         P[np.diag_indices(n)] = prior_var
-        accel_var = prior_var[lo.ACCEL_BIAS : lo.ACCEL_BIAS + 3].copy()
         old = phase.prior
         if old is not None:
-            bias = slice(lo.ACCEL_BIAS_B, lo.ACCEL_BIAS_B + 3)
-            s[bias] = old.s[bias]
             for source, size in ((lo.BARO_BIAS, 1), (lo.STILL_LEARNED, 7)):
                 s[source : source + size] = old.s[source : source + size]
-            old_var = np.diag(old.s[lo.P :].reshape(n, n))[lo.ACCEL_BIAS : lo.ACCEL_BIAS + 3]
-            accel_var = np.minimum(accel_var, 4.0 * old_var)
-            P[range(9, 12), range(9, 12)] = accel_var
         velocity = np.where(np.isfinite(fix[3:6]), fix[3:6], 0.0)
         still = lev.static and not np.isfinite(fix[3])
         unknown = (0.3 if still else 10.0, 0.3 if still else 10.0, 0.3 if lev.static else 3.0)
@@ -368,19 +383,23 @@ class ErrorStateFilter:
             P[3 + m, 3 + m] = velocity_var[m]
         g = gravity(float(fix[0]), float(fix[2]))
         attitude, cross = attitude_covariance(
-            s[:4], accel_var, lev.tilt_var, yaw_sd * yaw_sd, g, yaw_slope
+            s[:4], prior_var[9:12], lev.tilt_var, yaw_sd * yaw_sd, g, yaw_slope
         )
         P[6:9, 6:9] = attitude
         P[6:9, 9:12] = cross
         P[9:12, 6:9] = cross.T
-        gyro_var = lev.gyro_bias_var
+        bias, bias_var = lev.gyro_bias_b, lev.gyro_bias_var
         if lev.static:
             # Each heading says what of the mean rate is Earth's, as far as it is right itself.
             earth = earth_rate_n(float(fix[0]))
-            in_body = (matrix_from_quat(s[:4]) * earth[:, None]).sum(axis=0)
-            s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] -= in_body
-            gyro_var = gyro_var + (RATE * min(yaw_sd, 1.0)) ** 2
-        P[range(12, 15), range(12, 15)] = gyro_var
+            bias = bias - (matrix_from_quat(s[:4]) * earth[:, None]).sum(axis=0)
+            bias_var = bias_var + (RATE * min(yaw_sd, 1.0)) ** 2
+            # What was known before counts by its variance.
+            known = prior_var[12:15]
+            bias = bias + bias_var / (bias_var + known) * (gyro_bias - bias)
+            bias_var = bias_var * known / (bias_var + known)
+        s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = bias
+        P[range(12, 15), range(12, 15)] = bias_var
         # rate and force at the fix, between the samples around it
         t0 = int(imu.t[b - 1])
         s[lo.LAST_GYRO : lo.LAST_GYRO + 6] = imu.rows[b - 1, :6]

@@ -124,6 +124,11 @@ def layout(config: Config) -> Layout:
     )
 
 
+def initial_biases(config: Config) -> tuple[F64, F64]:
+    """Accelerometer (3,) [m/s²] and gyro bias (3,) [rad/s] to start with, body axes."""
+    return np.array(config.imu.accel_bias_mps2), np.array(config.imu.gyro_bias_dps) * DEG
+
+
 def initial_variances(config: Config, lay: Layout) -> F64:
     """(n,) variances of bias and optional states at start; position, velocity, attitude are 0."""
     v = np.zeros(lay.n)

@@ -1,8 +1,8 @@
 """Alignment: level from specific force, gyro bias from standstill, and how sure both are.
 
-Levelling takes the mean specific force for the reaction to gravity: C_nb f̄ = (0, 0, −g). An
-accelerometer bias then tilts the solution by φ = (b_E, −b_N) / g; that correlation is kept in P,
-because it decides how well the bias is found later.
+Levelling takes the mean specific force for the reaction to gravity: C_nb f̄ = (0, 0, −g). What is
+not known of the accelerometer bias then tilts the solution by φ = (b_E, −b_N) / g; that correlation
+is kept in P, because it decides how well the bias is found later.
 """
 
 from __future__ import annotations
@@ -44,8 +44,12 @@ def level(
     accel_psd: float,
     prior_bias: F64,
     prior_var: F64,
+    accel_bias: F64,
 ) -> Level:
     """Level on a window of samples: ``t_ns`` (N,), ``imu`` (N, ≥ 6) rate and specific force.
+
+    ``prior_bias``, ``prior_var`` (3,): gyro bias known before [rad/s]; ``accel_bias`` (3,) [m/s²]
+    is taken off the specific force.
 
     Static when the means over four quarters of the window agree within ``spread_gyro`` [rad/s] and
     ``spread_accel`` [m/s²] and nothing else (``may_be_static``) speaks against it.
@@ -56,7 +60,7 @@ def level(
     static = bool(
         may_be_static and np.all(spread[:3] <= spread_gyro) and np.all(spread[3:] <= spread_accel)
     )
-    fx, fy, fz = mean[3], mean[4], mean[5]
+    fx, fy, fz = mean[3:] - accel_bias
     roll = math.atan2(-fy, -fz)
     pitch = math.atan2(fx, math.hypot(fy, fz))
     span = max((t_ns[-1] - t_ns[0]) * 1e-9, 1e-3)

@@ -23,6 +23,7 @@ def _level(force_b: F64, rng: np.random.Generator, rate_b: F64 | None = None, sl
     return level(
         t, imu, spread_gyro=0.01, spread_accel=0.1, may_be_static=True, gyro_psd=1e-8,
         accel_psd=1e-6, prior_bias=np.zeros(3), prior_var=np.full(3, 1e-4),
+        accel_bias=np.zeros(3),
     )  # fmt: skip
 
 
