@@ -433,6 +433,8 @@ class LoopHealth:
     """From the arrival of a sample to the hand-over of what came of it; NaN without any."""
     latency_p99_ms: float
     latency_max_ms: float
+    stall_ms: float
+    """Longest time for which no link was looked at: what a latency cannot see."""
 
 
 @dataclass(frozen=True, slots=True)

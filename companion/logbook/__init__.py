@@ -1,6 +1,6 @@
 """The run log: one MCAP file a run, written while it runs (``docs/adr/0005-log.md``)."""
 
-from companion.logbook.mcap_file import LogWriteError
+from companion.logbook.sink import LogWriteError
 from companion.logbook.writer import LogWriter
 
 __all__ = ["LogWriteError", "LogWriter"]

@@ -10,11 +10,13 @@ MCAP specification 0, https://mcap.dev/spec.
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
+from bisect import bisect_right
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import zstandard
@@ -35,7 +37,8 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from companion.types import I64, CompanionError
+from companion.logbook.sink import DirectFile, Hole, LogWriteError, Sink
+from companion.types import I64
 
 _HEAD = np.dtype(
     [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
@@ -52,8 +55,11 @@ _NEVER = 2**63 - 1
 _INDEX = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
-class LogWriteError(CompanionError):
-    """The log cannot be written (disk full, no permission); what was written before stays."""
+class _Written(NamedTuple):
+    """A chunk's place in the file and its messages by channel."""
+
+    place: ChunkIndex
+    counts: dict[int, int]
 
 
 class McapFile:
@@ -63,7 +69,12 @@ class McapFile:
     """
 
     def __init__(
-        self, path: Path, *, chunk_bytes: int = 128 * 1024, chunk_span_ns: int = 1_000_000_000
+        self,
+        path: Path,
+        *,
+        chunk_bytes: int = 128 * 1024,
+        chunk_span_ns: int = 1_000_000_000,
+        sink: Sink | None = None,
     ) -> None:
         self._path = path
         self._chunk_bytes = chunk_bytes
@@ -71,28 +82,23 @@ class McapFile:
         self._zstd = zstandard.ZstdCompressor(level=1)
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunks: list[_Written] = []
         self._counts: dict[int, int] = defaultdict(int)
-        self._first_ns = _NEVER
-        self._last_ns = 0
         self._offset = 0
         self._pieces: list[bytes] = []
         self._index: dict[int, list[bytes]] = {}
         self._size = 0
         self._chunk_first = _NEVER
         self._chunk_last = 0
-        try:
-            self._file = path.open("wb", buffering=0)
-        except OSError as error:
-            raise LogWriteError(f"{path}: cannot be opened: {error.strerror or error}") from None
+        self._sink: Sink = DirectFile(path) if sink is None else sink
         self.closed = False
-        self._write(MCAP0_MAGIC + _record(Header(profile="", library="companion")))
+        self._write(MCAP0_MAGIC + _record(Header(profile="", library="companion")), needed=True)
 
     def schema(self, name: str, data: bytes) -> int:
         """Declare a protobuf message type by its descriptor set; its id."""
         schema = Schema(len(self._schemas) + 1, data, "protobuf", name)
         self._schemas.append(schema)
-        self._write(_record(schema))
+        self._write(_record(schema), needed=True)
         return schema.id
 
     def channel(self, topic: str, schema_id: int, metadata: dict[str, str] | None = None) -> int:
@@ -103,7 +109,7 @@ class McapFile:
         """
         channel = Channel(len(self._channels) + 1, topic, "protobuf", metadata or {}, schema_id)
         self._channels.append(channel)
-        self._write(_record(channel))
+        self._write(_record(channel), needed=True)
         return channel.id
 
     def message(self, channel: int, log_time_ns: int, data: bytes) -> None:
@@ -182,30 +188,28 @@ class McapFile:
             )
         )
         start = self._offset
-        indexes, offsets = [], {}
+        indexes, offsets, counts = [], {}, {}
         at = start + len(chunk)
         for channel, parts in self._index.items():
             offsets[channel] = at
             entries = b"".join(parts)
+            counts[channel] = len(entries) // _INDEX.itemsize
             body = struct.pack("<HI", channel, len(entries)) + entries
             indexes.append(struct.pack("<BQ", Opcode.MESSAGE_INDEX, len(body)) + body)
             at += len(indexes[-1])
-        self._write(b"".join([chunk, *indexes]), keep=len(chunk))
-        self._chunks.append(
-            ChunkIndex(
-                message_start_time=self._chunk_first,
-                message_end_time=self._chunk_last,
-                chunk_start_offset=start,
-                chunk_length=len(chunk),
-                message_index_offsets=offsets,
-                message_index_length=at - start - len(chunk),
-                compression="zstd",
-                compressed_size=len(packed),
-                uncompressed_size=len(data),
-            )
+        self._write(b"".join([chunk, *indexes]), whole=len(chunk))
+        place = ChunkIndex(
+            message_start_time=self._chunk_first,
+            message_end_time=self._chunk_last,
+            chunk_start_offset=start,
+            chunk_length=len(chunk),
+            message_index_offsets=offsets,
+            message_index_length=at - start - len(chunk),
+            compression="zstd",
+            compressed_size=len(packed),
+            uncompressed_size=len(data),
         )
-        self._first_ns = min(self._first_ns, self._chunk_first)
-        self._last_ns = max(self._last_ns, self._chunk_last)
+        self._chunks.append(_Written(place, counts))
         self._clear_chunk()
 
     def close(self) -> None:
@@ -217,12 +221,13 @@ class McapFile:
             return
         self.flush()
         self._write(_record(DataEnd(0)))
-        start = self._offset
+        chunks, missing = _placed(self._chunks, self._sink.settle())
+        start = self._offset - missing
         groups: list[tuple[int, list[McapRecord]]] = [
             (Opcode.SCHEMA, list(self._schemas)),
             (Opcode.CHANNEL, list(self._channels)),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, list(self._chunks)),
+            (Opcode.STATISTICS, [self._statistics(chunks)]),
+            (Opcode.CHUNK_INDEX, [c.place for c in chunks]),
         ]
         summary, offsets = b"", b""
         for opcode, records in groups:
@@ -235,18 +240,22 @@ class McapFile:
         footer = _record(Footer(start, offset_start, zlib.crc32(tail)))
         self._write(summary + offsets + footer + MCAP0_MAGIC)
         self.closed = True
-        self._file.close()
+        self._sink.close()
 
-    def _statistics(self) -> Statistics:
+    def _statistics(self, chunks: list[_Written]) -> Statistics:
+        counts: dict[int, int] = defaultdict(int)
+        for chunk in chunks:
+            for channel, n in chunk.counts.items():
+                counts[channel] += n
         return Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()),
+            channel_message_counts=dict(counts),
+            chunk_count=len(chunks),
+            message_count=sum(counts.values()),
             metadata_count=0,
-            message_start_time=min(self._first_ns, self._last_ns),
-            message_end_time=self._last_ns,
+            message_start_time=min((c.place.message_start_time for c in chunks), default=0),
+            message_end_time=max((c.place.message_end_time for c in chunks), default=0),
             schema_count=len(self._schemas),
         )
 
@@ -254,34 +263,39 @@ class McapFile:
         self._pieces, self._index, self._size = [], {}, 0
         self._chunk_first, self._chunk_last = _NEVER, 0
 
-    def _write(self, data: bytes, keep: int = 0) -> None:
-        """Write all of ``data``; on failure cut back to what is whole and end the file.
-
-        ``keep``: a prefix that is whole by itself.
-        """
+    def _write(self, data: bytes, *, whole: int = 0, needed: bool = False) -> None:
+        """Hand a piece to the sink; a failure ends the file."""
         if self.closed:
             raise LogWriteError(f"{self._path}: the log is closed")
-        view, done = memoryview(data), 0
         try:
-            while done < len(data):
-                done += self._file.write(view[done:]) or 0
-        except OSError as error:
+            self._sink.append(data, whole=whole, needed=needed)
+        except LogWriteError:
             self.closed = True
-            self._abandon(self._offset + (keep if keep and done >= keep else 0))
-            raise LogWriteError(
-                f"{self._path}: writing stopped after {self._offset} bytes: "
-                f"{error.strerror or error}"
-            ) from None
-        self._offset += done
+            raise
+        self._offset += len(data)
 
-    def _abandon(self, whole: int) -> None:
-        """Best effort: a half-written record at the end is legal, only untidy."""
-        try:
-            os.ftruncate(self._file.fileno(), whole)
-        except (OSError, ValueError):
-            pass
-        finally:
-            self._file.close()
+
+def _placed(chunks: list[_Written], holes: list[Hole]) -> tuple[list[_Written], int]:
+    """The chunks that are in the file, at their true offsets, and the bytes that are not."""
+    if not holes:
+        return chunks, 0
+    starts = [hole.start for hole in holes]
+    before = np.concatenate([[0], np.cumsum([hole.length for hole in holes])]).tolist()
+    kept = []
+    for chunk, counts in chunks:
+        at = bisect_right(starts, chunk.chunk_start_offset)
+        if at and chunk.chunk_start_offset < holes[at - 1].start + holes[at - 1].length:
+            continue
+        moved = replace(
+            chunk,
+            chunk_start_offset=chunk.chunk_start_offset - before[at],
+            message_index_offsets={
+                channel: offset - before[at]
+                for channel, offset in chunk.message_index_offsets.items()
+            },
+        )
+        kept.append(_Written(moved, counts))
+    return kept, before[-1]
 
 
 def _record(record: McapRecord) -> bytes:

@@ -21,7 +21,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from companion.logbook import columns, messages, schemas
 from companion.logbook.columns import AnyColumns, Batch
-from companion.logbook.mcap_file import LogWriteError, McapFile
+from companion.logbook.mcap_file import McapFile
+from companion.logbook.sink import LogWriteError, Sink
 from companion.proto import run_pb2, samples_pb2
 from companion.types import (
     I64,
@@ -71,16 +72,18 @@ class LogWriter:
         metadata: Mapping[str, str],
         settled: bool = False,
         hold_s: float = 1.0,
+        sink: Sink | None = None,
     ) -> None:
         """Open ``path`` for a run with this configuration.
 
         ``settled``: write the settled epochs too, not only their digest (about 70 MB an hour at
         50 Hz before compression). ``hold_s``: for how long of arrival time data may wait in memory,
         half of what a power loss can take; a replay, whose input is safe, is faster with more.
+        ``sink``: what writes the bytes, instead of this process itself, at once.
         """
         self.path = Path(path)
         self._hold_ns = round(hold_s * NS)
-        self._file = McapFile(self.path, chunk_span_ns=self._hold_ns)
+        self._file = McapFile(self.path, chunk_span_ns=self._hold_ns, sink=sink)
         self._config_toml = config_toml
         self._metadata = dict(metadata)
         self._settled = settled
