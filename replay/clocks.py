@@ -26,8 +26,6 @@ _FORWARD_US = 5_000_000
 _REBOOT_US = 2_000_000
 _NEAR = 50
 """References on each side of a step that its size is taken from."""
-MAX_BOOT_US = 100_000_000_000_000
-"""A stamp of more than three years since boot is Unix time."""
 
 
 def running_median(values: I64, width: int) -> I64:

@@ -23,7 +23,7 @@ from companion.types import (
     Recording,
     ReferenceSamples,
 )
-from replay.clocks import MAX_BOOT_US, Clock, boot_sessions, interpolation, unwrapped_interpolation
+from replay.clocks import Clock, boot_sessions, interpolation, unwrapped_interpolation
 from replay.dataflash_codec import Columns, DataFlash, index_dataflash
 from replay.streams import finish_vehicle, unknown, wrap
 
@@ -33,6 +33,8 @@ _LEAP_S = 18
 """GPS − UTC since 2017; before, it is one or two less, which only shifts the whole log."""
 _WEEK_MS = 604_800_000
 _GAP_NS = NS
+_MAX_BOOT_US = 100_000_000_000_000
+"""No autopilot runs for three years: a later stamp is corrupt."""
 
 _STAMPED = ("IMU", "ATT", "GPS", "BARO", "MAG")
 
@@ -44,7 +46,7 @@ def _boot_us(columns: Columns) -> I64 | None:
     """
     raw = columns.integers
     if "TimeUS" in raw:
-        return np.clip(raw["TimeUS"], 0, MAX_BOOT_US)
+        return np.clip(raw["TimeUS"], 0, _MAX_BOOT_US)
     label = "T" if columns.name in ("GPS", "GPS2") else "TimeMS"
     return raw[label] * 1000 if label in raw else None
 

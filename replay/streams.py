@@ -25,22 +25,10 @@ from companion.types import (
 
 S = TypeVar("S", bound=Samples)
 Kind = Literal["imu", "gnss", "baro", "mag", "truth", "autopilot"]
-Table = np.ndarray[Any, np.dtype[Any]]
 
 SLOW_HZ = 20.0
 """Below it an IMU loses against any that is faster."""
 G = 9.80665
-
-
-def column(table: Table, name: str) -> F64:
-    """A field of a structured array as float64."""
-    out: F64 = table[name].astype(np.float64)
-    return out
-
-
-def triple(table: Table, names: Sequence[str], scale: float = 1.0) -> F64:
-    """(N, 3) float64 from three fields, times ``scale``."""
-    return np.stack([column(table, name) for name in names], axis=1) * scale
 
 
 def unknown(count: int, width: int = 3) -> F64:

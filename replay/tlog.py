@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.types import (
     F64,
@@ -27,35 +26,20 @@ from companion.types import (
     ReferenceSamples,
     VehicleRecording,
 )
+from drivers.mavlink import samples as messages
 from drivers.mavlink.columns import decode
 from drivers.mavlink.dialect import message_id
 from drivers.mavlink.framer import U8, FrameIndex, index_frames
+from drivers.mavlink.samples import Stamps, Table, column, triple
 from replay.clocks import (
-    MAX_BOOT_US,
     Clock,
     plausible_wall,
     unwrapped_interpolation,
     vehicle_clock,
 )
-from replay.streams import G, Table, column, finish_vehicle, triple, unknown, wrap
-
-_BOOT_STAMPED = {
-    "SYSTEM_TIME": "time_boot_ms",
-    "SCALED_IMU": "time_boot_ms",
-    "RAW_IMU": "time_usec",
-    "SCALED_PRESSURE": "time_boot_ms",
-    "ATTITUDE": "time_boot_ms",
-    "ATTITUDE_QUATERNION": "time_boot_ms",
-    "LOCAL_POSITION_NED": "time_boot_ms",
-    "GLOBAL_POSITION_INT": "time_boot_ms",
-    "HIGHRES_IMU": "time_usec",
-    "SCALED_IMU2": "time_boot_ms",
-    "SCALED_IMU3": "time_boot_ms",
-}
-"""Messages stamped by the autopilot's boot clock as it sends them."""
+from replay.streams import finish_vehicle, unknown, wrap
 
 _E7 = np.pi / 180.0 * 1e-7
-_MILLI_G = G * 1e-3
 _MAX_ATTITUDE_GAP_NS = NS
 _PER_FRAME = 4
 """Arrival numbers per frame: one HIGHRES_IMU is an IMU, a pressure and a field sample."""
@@ -76,29 +60,25 @@ class _Stream:
         rows = self.rows[self.index.msgid[self.rows] == msgid]
         return decode(self.buf, self.index, msgid, rows), rows
 
-    def boot_us(self, table: Table, rows: I64) -> I64:
-        """Boot stamps [µs]: as sent, or the latest one seen where there is none (or Unix time)."""
-        if "time_usec" in (table.dtype.names or ()):
-            stamp = np.minimum(table["time_usec"], np.uint64(2**62)).astype(np.int64)
-        else:
-            stamp = table["time_boot_ms"].astype(np.int64) * 1000
-        usable = (stamp > 0) & (stamp < MAX_BOOT_US)
-        return np.where(usable, stamp, self.clock.boot_us[rows])
+    def stamps(self, rows: I64, boot_us: I64) -> Stamps:
+        """Times and numbers of frames ``rows`` stamped ``boot_us`` [µs], 0 where there is none.
+
+        Those without take the latest stamp seen on the stream.
+        """
+        boot = np.where(boot_us > 0, boot_us, self.clock.boot_us[rows])
+        return Stamps(self.clock.at(rows, boot), self.clock.rx_ns[rows], rows * _PER_FRAME)
 
 
 def _boot_references(buf: U8, index: FrameIndex, rows: I64) -> tuple[I64, I64]:
     """Frame numbers that carry a boot stamp and the stamps [µs], in stream order."""
     found_rows, found_boot = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     ids = index.msgid[rows]
-    for name, field in _BOOT_STAMPED.items():
+    for name in messages.BOOT_STAMPED:
         msgid = message_id(name)
         these = rows[ids == msgid]
-        stamp = decode(buf, index, msgid, these)[field]
-        boot = np.minimum(stamp, stamp.dtype.type(min(2**62, np.iinfo(stamp.dtype).max)))
-        boot_us = boot.astype(np.int64) * (1000 if field == "time_boot_ms" else 1)
-        usable = (boot_us > 0) & (boot_us < MAX_BOOT_US)
-        found_rows.append(these[usable])
-        found_boot.append(boot_us[usable])
+        stamp = messages.boot_us(decode(buf, index, msgid, these))
+        found_rows.append(these[stamp > 0])
+        found_boot.append(stamp[stamp > 0])
     all_rows = np.concatenate(found_rows)
     order = np.argsort(all_rows, kind="stable")
     return all_rows[order], np.concatenate(found_boot)[order]
@@ -107,136 +87,51 @@ def _boot_references(buf: U8, index: FrameIndex, rows: I64) -> tuple[I64, I64]:
 def _imu(stream: _Stream, name: str) -> ImuSamples | None:
     """One inertial message as samples; None if it is absent or not in its documented units."""
     table, rows = stream.message(name)
-    if name == "HIGHRES_IMU":
-        # Bits 0-5 of fields_updated: the three accelerometer and three gyro axes are new.
-        fresh = (table["fields_updated"] & 0x3F) == 0x3F
-        table, rows = table[fresh], rows[fresh]
-        accel_scale, gyro_scale = 1.0, 1.0
-    else:
-        accel_scale, gyro_scale = _MILLI_G, 1e-3
-    accel = triple(table, ("xacc", "yacc", "zacc"), accel_scale)
-    gyro = triple(table, ("xgyro", "ygyro", "zgyro"), gyro_scale)
-    if not table.shape[0] or not accel.any():
-        return None
-    t_ns = stream.clock.at(rows, stream.boot_us(table, rows))
-    rx = stream.clock.rx_ns[rows]
-    return ImuSamples(
-        name, t_ns, rx, rows * _PER_FRAME, gyro, accel, np.full(rows.shape[0], np.nan)
-    )
+    return messages.imu(name, table, stream.stamps(rows, messages.boot_us(table)))
 
 
 def _mag(stream: _Stream, name: str) -> MagSamples | None:
-    """Magnetic field of an inertial message [T]; None if absent or all zero."""
+    """Magnetic field of an inertial message; None if absent or all zero."""
     table, rows = stream.message(name)
-    if name == "HIGHRES_IMU":
-        fresh = (table["fields_updated"] & 0x1C0) == 0x1C0
-        table, rows = table[fresh], rows[fresh]
-    field = triple(table, ("xmag", "ymag", "zmag"), 1e-4 if name == "HIGHRES_IMU" else 1e-7)
-    if not field.any():
-        return None
-    t_ns = stream.clock.at(rows, stream.boot_us(table, rows))
-    return MagSamples(name, t_ns, stream.clock.rx_ns[rows], rows * _PER_FRAME + 2, field)
+    samples = messages.mag(name, table, stream.stamps(rows, messages.boot_us(table)))
+    return replace(samples, seq=samples.seq + 2) if samples is not None else None
 
 
 def _mags(stream: _Stream) -> list[MagSamples]:
     """One stream a compass: the first one by its best message, then the others."""
-    first = [
-        mag
-        for mag in (_mag(stream, name) for name in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"))
-        if mag is not None
-    ]
-    others = [_mag(stream, name) for name in ("SCALED_IMU2", "SCALED_IMU3")]
+    first = [mag for mag in (_mag(stream, name) for name in messages.MAG) if mag is not None]
+    others = [_mag(stream, name) for name in messages.MAG_OTHERS]
     return first[:1] + [mag for mag in others if mag is not None]
 
 
 def _baro(stream: _Stream) -> list[BaroSamples]:
-    """The first barometer, by SCALED_PRESSURE or else HIGHRES_IMU; both in hPa."""
-    for name, field in (("SCALED_PRESSURE", "press_abs"), ("HIGHRES_IMU", "abs_pressure")):
+    """One stream a barometer: the first one by its best message, then the others."""
+    found: list[BaroSamples] = []
+    for name in (*messages.BARO, *messages.BARO_OTHERS):
         table, rows = stream.message(name)
-        if name == "HIGHRES_IMU":
-            fresh = (table["fields_updated"] & 0x200) != 0
-            table, rows = table[fresh], rows[fresh]
-        pressure = column(table, field) * 100.0
-        good = pressure > 0
-        if good.any():
-            rows, table = rows[good], table[good]
-            t_ns = stream.clock.at(rows, stream.boot_us(table, rows))
-            rx = stream.clock.rx_ns[rows]
-            return [BaroSamples(name, t_ns, rx, rows * _PER_FRAME + 1, pressure[good])]
-    return []
-
-
-def _new_fixes(table: Table) -> NDArray[np.bool_]:
-    """Which rows are new epochs of the receiver.
-
-    The autopilot sends its latest fix at the stream's rate, which may be faster than the
-    receiver's. A row repeats the one before if its own stamp is the same, or, where it has no
-    stamp of its own, if its content is; a change of fix type always counts as new.
-    """
-    if not table.shape[0]:
-        return np.zeros(0, np.bool_)
-    stamp = table["time_usec"]
-    same_content = np.ones(table.shape[0] - 1, np.bool_)
-    for name in ("lat", "lon", "alt", "vel", "cog", "satellites_visible"):
-        same_content &= table[name][1:] == table[name][:-1]
-    unstamped = stamp[1:] == 0
-    repeat = (stamp[1:] == stamp[:-1]) & (~unstamped | same_content)
-    repeat &= table["fix_type"][1:] == table["fix_type"][:-1]
-    return np.concatenate([[True], ~repeat])
-
-
-def _millimetres(table: Table, name: str) -> F64:
-    """A MAVLink accuracy [mm] in metres; 0 and all ones mean unknown: NaN."""
-    raw = table[name]
-    absent = (raw == 0) | (raw == np.iinfo(raw.dtype).max)
-    return np.where(absent, np.nan, raw * 1e-3)
+        samples = messages.baro(name, table, stream.stamps(rows, messages.boot_us(table)))
+        if samples is not None and not (found and name in messages.BARO):
+            found.append(replace(samples, seq=samples.seq + 1))
+    return found
 
 
 def _gnss(stream: _Stream, name: str) -> tuple[GnssSamples | None, F64, int]:
     """(fixes with AMSL heights, undulation [m] of each or NaN, repeats dropped)."""
     table, rows = stream.message(name)
-    boot = stream.boot_us(table, rows)
-    keep = _new_fixes(table)
+    keep = messages.new_fixes(table)
     repeats = int((~keep).sum())
-    table, rows, boot = table[keep], rows[keep], boot[keep]
+    table, rows = table[keep], rows[keep]
     if not table.shape[0]:
         return None, np.zeros(0), repeats
-    # Without a fix the stamp of the last good one is often repeated: arrival says more.
-    boot = np.where(table["fix_type"] < 2, stream.clock.boot_us[rows], boot)
-    speed = np.where(table["vel"] == 65535, np.nan, table["vel"] * 1e-2)
-    # Course is undefined at a standstill, where its unknown value does no harm.
-    course = np.where(table["cog"] == 65535, np.where(speed == 0, 0.0, np.nan), table["cog"])
-    course = course * (np.pi / 18000.0)
-    vel = np.stack(
-        [speed * np.cos(course), speed * np.sin(course), np.full(rows.shape[0], np.nan)], axis=1
-    )
-    h_acc, v_acc = _millimetres(table, "h_acc"), _millimetres(table, "v_acc")
-    s_acc = _millimetres(table, "vel_acc")
-    ellipsoid = column(table, "alt_ellipsoid") * 1e-3
-    amsl = column(table, "alt") * 1e-3
-    undulation = np.where(table["alt_ellipsoid"] == 0, np.nan, ellipsoid - amsl)
-    sats = table["satellites_visible"].astype(np.int64)
-    samples = GnssSamples(
-        name,
-        stream.clock.at(rows, boot),
-        stream.clock.rx_ns[rows],
-        rows * _PER_FRAME,
-        column(table, "lat") * _E7,
-        column(table, "lon") * _E7,
-        amsl,
-        vel,
-        np.stack([h_acc, h_acc, v_acc], axis=1),
-        np.stack([s_acc, s_acc, s_acc], axis=1),
-        np.where(sats == 255, -1, sats),
-        np.where(table["fix_type"] > 6, 3, table["fix_type"]).astype(np.int64),
-    )
+    at = stream.stamps(rows, messages.fix_boot_us(table))
+    samples, undulation = messages.gnss(name, table, at)
     return samples, undulation, repeats
 
 
 def _attitude(stream: _Stream, t_ns: I64) -> F64:
     """(N, 3) roll, pitch, yaw [rad] of ATTITUDE at ``t_ns``; NaN where it has gaps."""
     table, rows = stream.message("ATTITUDE")
-    at = stream.clock.at(rows, stream.boot_us(table, rows))
+    at = stream.stamps(rows, messages.boot_us(table)).t_ns
     keep = np.isfinite(triple(table, ("roll", "pitch", "yaw")).sum(axis=1))
     keep[1:] &= at[1:] > np.maximum.accumulate(at)[:-1]
     columns = [
@@ -249,21 +144,15 @@ def _attitude(stream: _Stream, t_ns: I64) -> F64:
 def _autopilot(stream: _Stream) -> ReferenceSamples | None:
     """The autopilot's own solution: GLOBAL_POSITION_INT (AMSL) with ATTITUDE at its times."""
     table, rows = stream.message("GLOBAL_POSITION_INT")
-    known = (table["lat"] != 0) | (table["lon"] != 0)
+    known = messages.known_position(table)
     table, rows = table[known], rows[known]
     if not table.shape[0]:
         return None
-    t_ns = stream.clock.at(rows, stream.boot_us(table, rows))
+    at = stream.stamps(rows, messages.boot_us(table))
+    lat, lon, amsl, vel_n = messages.position(table)
+    rpy = _attitude(stream, at.t_ns)
     return ReferenceSamples(
-        "GLOBAL_POSITION_INT",
-        t_ns,
-        stream.clock.rx_ns[rows],
-        rows * _PER_FRAME,
-        column(table, "lat") * _E7,
-        column(table, "lon") * _E7,
-        column(table, "alt") * 1e-3,
-        triple(table, ("vx", "vy", "vz"), 1e-2),
-        _attitude(stream, t_ns),
+        "GLOBAL_POSITION_INT", at.t_ns, at.rx_ns, at.seq, lat, lon, amsl, vel_n, rpy
     )
 
 
@@ -284,7 +173,8 @@ def _truth(stream: _Stream) -> ReferenceSamples | None:
     for imu in ("HIGHRES_IMU", "RAW_IMU"):
         imu_table, at = stream.message(imu)
         imu_rows.append(at)
-        imu_boot.append(stream.boot_us(imu_table, at))
+        stamp = messages.boot_us(imu_table)
+        imu_boot.append(np.where(stamp > 0, stamp, stream.clock.boot_us[at]))
     order = np.argsort(np.concatenate(imu_rows), kind="stable")
     at, boot = np.concatenate(imu_rows)[order], np.concatenate(imu_boot)[order]
     before = np.searchsorted(at, rows) - 1
@@ -336,11 +226,10 @@ def _raised(reference: ReferenceSamples | None, by_m: float) -> ReferenceSamples
 def _vehicle(stream: _Stream, name: str) -> tuple[VehicleRecording, list[str]]:
     """Everything that one autopilot sent, as samples, and what was odd about it."""
     notes: list[str] = list(stream.clock.notes)
-    names = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
-    imus = [imu for imu in (_imu(stream, n) for n in names) if imu is not None]
+    imus = [imu for imu in (_imu(stream, n) for n in messages.IMU) if imu is not None]
     fixes: list[GnssSamples] = []
     undulations: list[F64] = []
-    for source in ("GPS_RAW_INT", "GPS2_RAW"):
+    for source in messages.GNSS:
         samples, undulation, repeats = _gnss(stream, source)
         if samples is not None:
             fixes.append(samples)
