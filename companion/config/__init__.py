@@ -35,6 +35,8 @@ from companion.config.live import (
     ToAutopilot,
     Zenoh,
 )
+from companion.config.live_checks import check_live
+from companion.config.ranges import rotation
 from companion.config.section import Section
 from companion.config.spelled import to_toml
 from companion.types import ConfigError
@@ -95,14 +97,21 @@ def _section_of(annotation: Any) -> type[Section] | None:
     return None
 
 
-def _known_keys(path: str) -> list[str]:
+def _section_at(path: str) -> type[Section] | None:
+    """The section that ``path`` (``can[0].imu[1]``) leads to; none for a free table of options."""
     section: type[Section] = Config
     for part in [p.split("[")[0] for p in path.split(".") if p]:
         found = _section_of({f.name: f.type for f in msgspec.structs.fields(section)}.get(part))
         if found is None:
-            return []
+            return None
         section = found
-    return [f.name for f in msgspec.structs.fields(section)]
+    return section
+
+
+def _known(path: str) -> dict[str, Any]:
+    """Keys of the section at ``path`` and their types."""
+    section = _section_at(path)
+    return {} if section is None else {f.name: f.type for f in msgspec.structs.fields(section)}
 
 
 def _explain(error: msgspec.ValidationError) -> str:
@@ -112,10 +121,19 @@ def _explain(error: msgspec.ValidationError) -> str:
         path = text.split(" - at `$.")[1].rstrip("`")
     if "unknown field" in text:
         bad = text.split("unknown field `")[1].split("`")[0]
-        near = difflib.get_close_matches(bad, _known_keys(path), n=1)
+        near = difflib.get_close_matches(bad, _known(path), n=1)
         where = f"{path}.{bad}" if path else bad
         return f"unknown key '{where}'" + (f"; did you mean '{near[0]}'?" if near else "")
-    return f"key '{path}': {text.split(' - at')[0]}" if path else text
+    if not path:
+        return text
+    what = text.split(" - at")[0]
+    section, _, name = path.rpartition(".")
+    kind = _known(section).get(name)
+    if "Invalid enum value" in text:
+        what += f"; one of {', '.join(repr(choice) for choice in get_args(kind))}"
+    elif _section_of(kind) is not None and "got `object`" in text:
+        what = f"is a list of tables; write [[{path}]]"
+    return f"key '{path}': {what}"
 
 
 _POSITIVE = (
@@ -157,17 +175,7 @@ def _check(config: Config) -> None:
     ):
         if not all(abs(value) <= limit for value in biases):
             raise ConfigError(f"key '{key}': three numbers within ±{limit:g} {unit}, got {biases}")
-    axes = config.imu.axes
-    if len(axes) != 3:
-        raise ConfigError("key 'imu.axes': must have three rows of three numbers")
-    for i in range(3):
-        for j in range(3):
-            dot = sum(a * b for a, b in zip(axes[i], axes[j], strict=True))
-            if not abs(dot - (i == j)) <= 1e-6:
-                raise ConfigError("key 'imu.axes': rows must be orthonormal (a rotation)")
-    (a, b, c), (d, e, f), (g, h, i_) = axes
-    if a * (e * i_ - f * h) - b * (d * i_ - f * g) + c * (d * h - e * g) < 0:
-        raise ConfigError("key 'imu.axes': determinant is −1; a rotation has +1 (swap a sign)")
+    rotation("imu.axes", config.imu.axes)
     for key, limit in (("imu.latency_ms", 500.0), ("gnss.latency_ms", 2000.0)):
         section, name = key.split(".")
         value = getattr(getattr(config, section), name)
@@ -177,6 +185,7 @@ def _check(config: Config) -> None:
         raise ConfigError("key 'engine.gate_probability': between 0.5 and 1, such as 0.9999")
     if not 4 <= config.alignment.hypotheses <= 72:
         raise ConfigError("key 'alignment.hypotheses': between 4 and 72")
+    check_live(config)
 
 
 def parse(text: str, origin: str = "configuration") -> Config:

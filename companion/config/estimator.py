@@ -22,7 +22,11 @@ class Imu(Section):
     """Stream name, or ``auto`` for the best one in the log."""
     latency_ms: float = 0.0
     """Stamp − validity: a filtered IMU is late by the delay of its filter."""
-    axes: tuple[tuple[float, float, float], ...] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    axes: tuple[tuple[float, float, float], ...] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
     """Rotation from the sensor's axes to body FRD, row by row."""
     gyro_noise_dps_rthz: float = 0.02
     """Angle random walk as noise density [deg/s/√Hz]; deg/√h ÷ 60."""

@@ -46,7 +46,7 @@ class CanImu(Section):
     protocol: Literal["dronecan", "xsens-mti", "sbg-ellipse", "openimu-j1939", "dbc"]
     node_id: int = 0
     """DroneCAN node or J1939 source address; 0: any."""
-    axes: tuple[Row, Row, Row] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    axes: tuple[Row, Row, Row] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     """Rotation from the unit's axes to those of the vehicle's first IMU, row by row."""
     rate_hz: float = 0.0
     """Expected sample rate; 0: learned. Silence is judged by it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -19,7 +20,8 @@ def _table(path: str, values: dict[str, Any]) -> list[str]:
     """Lines of one table: its own keys first, as TOML wants, then the tables inside it."""
     lines: list[str] = []
     inner: list[str] = []
-    for key, value in values.items():
+    for word, value in values.items():
+        key = _key(word)
         name = f"{path}.{key}" if path else key
         if isinstance(value, dict):
             inner += ["", f"[{name}]", *_table(name, value)]
@@ -33,6 +35,11 @@ def _table(path: str, values: dict[str, Any]) -> list[str]:
 
 def _is_tables(value: Any) -> bool:
     return isinstance(value, list | tuple) and bool(value) and isinstance(value[0], dict)
+
+
+def _key(word: str) -> str:
+    """A key as TOML wants it: bare where that is allowed, quoted otherwise."""
+    return word if re.fullmatch(r"[A-Za-z0-9_-]+", word) else _value(word)
 
 
 def _value(value: Any) -> str:
