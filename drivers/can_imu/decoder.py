@@ -1,0 +1,160 @@
+"""What all CAN IMU decoders share: counters, the unit's mounting, samples collected as columns."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.types import ImuSamples
+
+Vec3 = tuple[float, float, float]
+Axes = tuple[Vec3, Vec3, Vec3]
+
+IDENTITY: Axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+AXIS_NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+
+
+class CanFrame(NamedTuple):
+    """One data frame."""
+
+    can_id: int
+    extended: bool
+    """29-bit identifier."""
+    data: bytes
+    """0 to 8 bytes; to 64 with CAN FD."""
+
+
+@dataclass(slots=True)
+class CanCounters:
+    """What became of the frames of one unit."""
+
+    frames: int = 0
+    """Frames that belong to the unit's inertial messages."""
+    samples: int = 0
+    lost: int = 0
+    """Samples that the unit sent and that never came, by its own counter."""
+    repeated: int = 0
+    """Frames or samples that came twice."""
+    malformed: int = 0
+    """Frames and transfers that break the protocol, and values that are no numbers."""
+    incomplete: int = 0
+    """Samples given up because one of their frames was missing."""
+    saturated: int = 0
+    """Samples with an axis at the end of its range."""
+    restarts: int = 0
+    """Times that the unit's clock or counter began again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One inertial unit, whatever its protocol."""
+
+    source: str
+    """Name of the stream."""
+    axes: Axes = IDENTITY
+    """Rotation from the unit's axes to those of the vehicle's first IMU, row by row."""
+    gyro_range: float = math.inf
+    """[rad/s] an axis at it is saturated."""
+    accel_range: float = math.inf
+    """[m/s²]"""
+    rate_hz: float = 0.0
+    """Expected sample rate; 0: learned."""
+
+
+class CanImuDecoder(ABC):
+    """Frames of a bus in, inertial samples out. Pure: time is what the caller says.
+
+    Other traffic is left alone, bad frames are counted and dropped; nothing raises.
+    """
+
+    def __init__(
+        self, unit: Unit, gyro_full_scale: float = math.inf, accel_full_scale: float = math.inf
+    ) -> None:
+        """Full scales [rad/s, m/s²]: the wire format's own, where it has one."""
+        self.source = unit.source
+        self.counters = CanCounters()
+        self.saturated: tuple[str, ...] = ()
+        """Axes of the latest sample at the end of their range, named in the unit's own frame."""
+        self._unit = unit
+        self._turned = unit.axes != IDENTITY
+        gyro_limit = min(unit.gyro_range, gyro_full_scale)
+        accel_limit = min(unit.accel_range, accel_full_scale)
+        self._limits = (gyro_limit,) * 3 + (accel_limit,) * 3
+        self._limited = math.isfinite(gyro_limit) or math.isfinite(accel_limit)
+        self._times: list[tuple[int, int, int]] = []
+        self._values: list[tuple[float, ...]] = []
+
+    @abstractmethod
+    def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
+        """Take one data frame; whether it was one of this unit's.
+
+        ``seq``: arrival number; ``t_rx_ns``: arrival on the run's clock, never decreasing.
+        """
+
+    def take(self) -> ImuSamples | None:
+        """The samples completed since the last call; each has the ``seq`` of its last frame."""
+        if not self._times:
+            return None
+        times = np.array(self._times, np.int64)
+        values = np.array(self._values, np.float64)
+        self._times, self._values = [], []
+        return ImuSamples(
+            self.source,
+            np.ascontiguousarray(times[:, 0]),
+            np.ascontiguousarray(times[:, 1]),
+            np.ascontiguousarray(times[:, 2]),
+            np.ascontiguousarray(values[:, 0:3]),
+            np.ascontiguousarray(values[:, 3:6]),
+            np.ascontiguousarray(values[:, 6]),
+        )
+
+    def _add(
+        self,
+        seq: int,
+        t_ns: int,
+        t_rx_ns: int,
+        sample: tuple[float, float, float, float, float, float],
+        interval_s: float = math.nan,
+        peak: tuple[float, ...] | None = None,
+    ) -> None:
+        """Keep a sample in the unit's axes [rad/s, m/s²].
+
+        ``peak``: what saturation is judged by, where the sample is a mean.
+        """
+        gx, gy, gz, ax, ay, az = sample
+        if not math.isfinite(gx + gy + gz + ax + ay + az):
+            self.counters.malformed += 1
+            return
+        self.counters.samples += 1
+        if self._limited:
+            self._note_saturation(sample if peak is None else peak)
+        if self._turned:
+            x, y, z = self._unit.axes
+            gx, gy, gz = (r[0] * gx + r[1] * gy + r[2] * gz for r in (x, y, z))
+            ax, ay, az = (r[0] * ax + r[1] * ay + r[2] * az for r in (x, y, z))
+        self._times.append((t_ns, t_rx_ns, seq))
+        self._values.append((gx, gy, gz, ax, ay, az, interval_s))
+
+    def _note_saturation(self, sample: tuple[float, ...]) -> None:
+        self.saturated = tuple(
+            name
+            for name, value, limit in zip(AXIS_NAMES, sample, self._limits, strict=True)
+            if abs(value) >= limit
+        )
+        if self.saturated:
+            self.counters.saturated += 1
+
+
+class CanImuEncoder(ABC):
+    """Inertial samples in the unit's wire format: for simulators and tests."""
+
+    @abstractmethod
+    def encode(self, samples: ImuSamples) -> list[CanFrame]:
+        """The frames of all ``samples``, in the order a unit sends them.
+
+        Values beyond the format's range are sent as its end, as a saturated sensor does.
+        """
