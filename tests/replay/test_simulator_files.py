@@ -18,6 +18,7 @@ from replay.simulator.aids import BaroSpec, GnssSpec, MagSpec, Outage
 from replay.simulator.flight import write_flight
 from replay.simulator.imu import IMU_GRADES
 from replay.simulator.matching import imu_config, matching_config
+from replay.simulator.messages import UNDULATION_M
 from replay.simulator.sample import SAMPLE, SAMPLE_DIRECTORY, SAMPLE_NAME, write_sample
 from replay.simulator.scenarios import (
     SCENARIOS,
@@ -28,7 +29,7 @@ from replay.simulator.scenarios import (
     parse_scenario,
 )
 from replay.simulator.simulation import simulate
-from replay.simulator.tlog_writer import UNDULATION_M, write_tlog
+from replay.simulator.tlog_writer import write_tlog
 
 SHORT = Scenario(
     name="short",

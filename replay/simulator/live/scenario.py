@@ -1,0 +1,73 @@
+"""What the simulated vehicle flies live, and the configuration that says so to a companion."""
+
+from __future__ import annotations
+
+import msgspec
+
+from companion.config import CanBus, CanImu, Config, Log, Mavlink, Zenoh
+from replay.simulator.aids import BaroSpec, GnssSpec, MagSpec
+from replay.simulator.live.vehicle import CAN_SOURCE
+from replay.simulator.matching import matching_config
+from replay.simulator.scenarios import Scenario, TrajectorySpec, graded
+
+NODE_ID = 42
+CAN_LATENCY_MS = 1.0
+"""From the end of a CAN unit's interval to its last frame's arrival."""
+
+
+def live_scenario(
+    seconds: float = 300.0, rest_s: float = 8.0, imu_hz: float = 200.0, gnss_hz: float = 5.0
+) -> Scenario:
+    """A multirotor's mission with a unit on the CAN bus beside the autopilot's own sensors.
+
+    The receiver's fixes are stamped on arrival, as ArduPilot does.
+    """
+    return Scenario(
+        name="demo",
+        trajectory=TrajectorySpec(kind="multirotor-mission", duration_s=seconds, rest_s=rest_s),
+        imu=(
+            graded(
+                "mems-consumer",
+                source=CAN_SOURCE,
+                rate_hz=imu_hz,
+                output="integral",
+                arrival_ms=CAN_LATENCY_MS,
+                gyro_step_dps=0.0,
+                accel_step_mps2=0.0,
+                vibration_mps2=0.3,
+            ),
+            graded("mems-consumer", rate_hz=100.0, latency_ms=10.0, vibration_mps2=0.3),
+        ),
+        gnss=(GnssSpec(rate_hz=gnss_hz, latency_ms=100.0, stamped="arrival"),),
+        baro=BaroSpec(),
+        # A field given outright: declination then does not hang on this machine's date.
+        mag=MagSpec(field_n_t=(21.4e-6, 1.3e-6, 43.0e-6)),
+    )
+
+
+def live_config(scenario: Scenario, mavlink: str, can: str | None, zenoh_listen: str) -> Config:
+    """The companion's configuration beside a vehicle that flies ``scenario``.
+
+    ``mavlink`` and ``zenoh_listen`` are endpoints, ``can`` the adapter's device or None for the
+    autopilot's IMU alone.
+    """
+    own = next(imu for imu in scenario.imu if (imu.source == CAN_SOURCE) == (can is not None))
+    base = matching_config(msgspec.structs.replace(scenario, imu=(own,)))
+    # A unit that never sends the time of its samples is as late as its frames are.
+    late_ms = own.latency_ms + (CAN_LATENCY_MS if can is not None else 0.0)
+    unit = CanImu(name=CAN_SOURCE, protocol="dronecan", node_id=NODE_ID, rate_hz=own.rate_hz)
+    bus = CanBus(
+        channel=can or "",
+        interface="slcan",
+        options={"sleep_after_open": 0.0},  # a real adapter may need its two seconds
+        imu=(unit,),
+    )
+    replace = msgspec.structs.replace
+    return replace(
+        base,
+        imu=replace(base.imu, source=CAN_SOURCE if can else "auto", latency_ms=late_ms),
+        can=(bus,) if can else (),
+        mavlink=Mavlink(endpoint=mavlink),
+        zenoh=Zenoh(listen=(zenoh_listen,)),
+        log=Log(directory="."),
+    )
