@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from companion.types import ImuSamples
 from replay.simulator.live.slcan import Frame
 
-Encoder = Callable[[ImuSamples], list[Frame]]
+Encoder = Callable[[ImuSamples], Sequence[Frame]]
 """Frames of the samples given, in the order of the wire."""
 
 

@@ -48,8 +48,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
 def _encoder(options: Options) -> Encoder:
     from drivers.can_imu import make_encoder
 
-    encode: Encoder = make_encoder(options.protocol, **options.encoder_options)
-    return encode
+    return make_encoder(options.protocol, **options.encoder_options).encode
 
 
 def _unit(options: Options, recording: VehicleRecording) -> SimulatedCanImu | None:
