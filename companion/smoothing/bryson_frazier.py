@@ -1,0 +1,308 @@
+"""The modified Bryson-Frazier smoother over a recorded tape: no inverse of P anywhere.
+
+    at an update:   λ̃ = −Hᵀ S⁻¹ y + (I − K H)ᵀ λ̂ ,  Λ̃ = Hᵀ S⁻¹ H + (I − K H)ᵀ Λ̂ (I − K H)
+    between:        λ̂ = Φᵀ λ̃ ,                      Λ̂ = Φᵀ Λ̃ Φ
+    smoothed:       δx = −P λ̂ ,                      P_s = P − P Λ̂ P
+
+both zero at the end (Bierman 1973; ALGORITHMS: Kamil et al. 2014 name the aim). P is needed at the
+start of a chunk only: inside it the smoothed error moves forward by its own recursion,
+
+    over a step:    δx⁻ = Φ δx − Q λ̃ ,               at an update: δx = δx⁻ − K y
+
+so the history grows with the rate of the covariance, not with states², and not with the IMU's rate.
+Feedback changes nothing but the turn G of the attitude error at a reset: λ ← Gᵀ λ, δx ← G δx.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from companion.estimation.covariance import apply_transition
+from companion.estimation.tape import (
+    C_SUMS,
+    C_T,
+    F32,
+    I8,
+    ROW,
+    STEP,
+    SUMS,
+    SUMS_WITH_SCALE,
+    TURN,
+    UPDATE,
+    read_step,
+)
+from companion.navigation.error_model import transition_blocks
+from companion.navigation.layout import (
+    ATT,
+    CORE_STATES,
+    L_ACCEL_SCALE,
+    L_GYRO_SCALE,
+    L_N,
+)
+from companion.smoothing.transition import (
+    apply_transposed,
+    decay_factors,
+    noise_diagonal,
+    subtract_noise,
+)
+from companion.types import F64, I64
+
+
+@njit("void(f8[:, ::1], f8[::1], i8, i8)", cache=True)
+def turn_transposed(X: F64, g: F64, at: int, cols: int) -> None:
+    """``X`` ← Gᵀ X on the attitude rows from ``at`` on; ``g`` the correction of φ, see update.py."""
+    x, y, z = 0.5 * g[0], 0.5 * g[1], g[2]
+    for j in range(cols):
+        a, b, c = X[at, j], X[at + 1, j], X[at + 2, j]
+        X[at, j] = a + z * b - y * c
+        X[at + 1, j] = b - z * a + x * c
+        X[at + 2, j] = c + y * a - x * b
+
+
+@njit("void(f8[::1], f8[::1], i8)", cache=True)
+def turn(dx: F64, g: F64, at: int) -> None:
+    """``dx`` ← G dx on the attitude rows from ``at`` on."""
+    x, y, z = 0.5 * g[0], 0.5 * g[1], g[2]
+    a, b, c = dx[at], dx[at + 1], dx[at + 2]
+    dx[at] = a - z * b + y * c
+    dx[at + 1] = b + z * a - x * c
+    dx[at + 2] = c - y * a + x * b
+
+
+@njit(
+    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
+    cache=True,
+)
+def backward(
+    kinds: I8,
+    coarse: F32,
+    fine: F64,
+    triangle: int,
+    lay: I64,
+    par: F64,
+    s: F64,
+    lam: F64,
+    steps: F64,
+) -> None:
+    """Take λ, ``lam`` (n, 1), from the end of a chunk to its start, in place.
+
+    The slices hold exactly the chunk, and ``triangle`` numbers of P with each row. ``s`` is scratch
+    with the Earth's rate in place; ``steps`` (≥ steps of the chunk, n) keeps λ̃ after each step, for
+    :func:`forward`.
+    """
+    n = lay[L_N]
+    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    B = np.empty((24, 3, 3))
+    d = np.empty(n)
+    out = np.empty((n, 1))
+    c, f = coarse.shape[0], fine.shape[0]
+    m = 0
+    for i in range(kinds.shape[0]):
+        m += kinds[i] == STEP
+    for i in range(kinds.shape[0] - 1, -1, -1):
+        kind = kinds[i]
+        if kind == STEP:
+            m -= 1
+            c -= size
+            read_step(coarse[c : c + size], lay, s)
+            transition_blocks(s, B)
+            decay_factors(float(coarse[c + C_T]), lay, par, d)
+            for j in range(n):
+                steps[m, j] = lam[j, 0]
+                lam[j, 0] *= d[j]
+            apply_transposed(B, i_sa, i_sg, lam, 1, out)
+            for j in range(CORE_STATES):
+                lam[j, 0] = out[j, 0]
+            if i_sa >= 0:
+                for j in range(3):
+                    lam[i_sa + j, 0] = out[i_sa + j, 0]
+                    lam[i_sg + j, 0] = out[i_sg + j, 0]
+        elif kind == UPDATE:
+            c -= n
+            f -= n + 2
+            r, y = fine[f + n], fine[f + n + 1]
+            g = r * y
+            for j in range(n):
+                g += fine[f + j] * lam[j, 0]
+            g *= r
+            for j in range(n):
+                lam[j, 0] -= coarse[c + j] * g
+        elif kind == TURN:
+            f -= 3
+            turn_transposed(lam, fine[f : f + 3], ATT, 1)
+        else:
+            c -= triangle
+
+
+@njit(
+    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1],"
+    "f8[:, ::1])",
+    cache=True,
+)
+def forward(
+    kinds: I8,
+    coarse: F32,
+    fine: F64,
+    triangle: int,
+    lay: I64,
+    par: F64,
+    s: F64,
+    dx: F64,
+    steps: F64,
+    rows: F64,
+) -> None:
+    """Take the smoothed error, ``dx`` (n, 1), from the start of a chunk to its end, in place.
+
+    At a chunk's start it is −P λ̂. ``rows`` (rows of the chunk, n) is filled with the error to add
+    to the forward solution at each output row.
+    """
+    n = lay[L_N]
+    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    B = np.empty((24, 3, 3))
+    d, q = np.empty(n), np.empty(n)
+    out = np.empty((9, 1))
+    x = dx.reshape(n)
+    c, f, m, row = 0, 0, 0, 0
+    for i in range(kinds.shape[0]):
+        kind = kinds[i]
+        if kind == STEP:
+            numbers = coarse[c : c + size]
+            read_step(numbers, lay, s)
+            transition_blocks(s, B)
+            decay_factors(float(numbers[C_T]), lay, par, d)
+            noise_diagonal(numbers, lay, par, d, q)
+            apply_transition(B, i_sa, i_sg, dx, 1, out)
+            for j in range(9):
+                x[j] = out[j, 0]
+            for j in range(9, n):
+                x[j] *= d[j]
+            subtract_noise(numbers, q, steps[m], x)
+            c += size
+            m += 1
+        elif kind == UPDATE:
+            y = fine[f + n] * fine[f + n + 1]
+            for j in range(n):
+                x[j] -= fine[f + j] * y
+            c += n
+            f += n + 2
+        elif kind == TURN:
+            turn(x, fine[f : f + 3], ATT)
+            f += 3
+        elif kind == ROW:
+            for j in range(n):
+                rows[row, j] = x[j]
+            row += 1
+            c += triangle
+
+
+@njit("void(f8[:, ::1], f8[::1], f4[::1], f8[::1], f8, i8)", cache=True)
+def _information_of_update(Lam: F64, w: F64, H: F32, gain: F64, r: float, n: int) -> None:
+    """``Lam`` ← Hᵀ r² H + (I − K H)ᵀ Lam (I − K H) with K = ``gain`` r; ``w`` (n,) is scratch."""
+    kwk = r * r
+    for i in range(n):
+        x = 0.0
+        for j in range(n):
+            x += Lam[i, j] * gain[j]
+        w[i] = x * r
+        kwk += w[i] * gain[i] * r
+    for i in range(n):
+        h = float(H[i])
+        if h != 0.0:
+            for j in range(n):
+                Lam[i, j] += h * (0.5 * kwk * H[j] - w[j])
+                Lam[j, i] += h * (0.5 * kwk * H[j] - w[j])
+
+
+@njit("void(f4[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8)", cache=True)
+def _smoothed_blocks(triangle: F32, Lam: F64, P: F64, M: F64, out: F64, n: int) -> None:
+    """``out`` (5, 6): the published blocks of P − P Λ P. ``P``, ``M`` (n, n) are scratch."""
+    c = 0
+    for i in range(n):
+        for j in range(i, n):
+            P[i, j] = P[j, i] = triangle[c]
+            c += 1
+    for i in range(n):
+        for j in range(CORE_STATES):
+            x = 0.0
+            for k in range(n):
+                x += Lam[i, k] * P[k, j]
+            M[i, j] = x
+    for block in range(5):
+        at = 0
+        for i in range(3 * block, 3 * block + 3):
+            for j in range(i, 3 * block + 3):
+                x = P[i, j]
+                for k in range(n):
+                    x -= P[i, k] * M[k, j]
+                out[block, at] = x
+                at += 1
+
+
+@njit(
+    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1])",
+    cache=True,
+)
+def backward_covariance(
+    kinds: I8,
+    coarse: F32,
+    fine: F64,
+    triangle: int,
+    lay: I64,
+    par: F64,
+    s: F64,
+    Lam: F64,
+    rows: F64,
+) -> None:
+    """Take Λ, ``Lam`` (n, n), from the end of a chunk to its start, in place.
+
+    ``rows`` (rows of the chunk, 5, 6) is filled with the covariance blocks of the smoothed errors,
+    as :attr:`companion.types.Solution.cov`. The tape must carry P with its rows.
+    """
+    n = lay[L_N]
+    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    B = np.empty((24, 3, 3))
+    d, w = np.empty(n), np.empty(n)
+    X, Y = np.empty((n, n)), np.empty((n, n))
+    c, f, row = coarse.shape[0], fine.shape[0], rows.shape[0]
+    for i in range(kinds.shape[0] - 1, -1, -1):
+        kind = kinds[i]
+        if kind == STEP:
+            c -= size
+            read_step(coarse[c : c + size], lay, s)
+            transition_blocks(s, B)
+            decay_factors(float(coarse[c + C_T]), lay, par, d)
+            for j in range(n):
+                for k in range(n):
+                    Lam[j, k] *= d[j] * d[k]
+                    Y[j, k] = Lam[j, k]
+            apply_transposed(B, i_sa, i_sg, Lam, n, Y)
+            for j in range(n):
+                for k in range(n):
+                    X[j, k] = Y[k, j]
+                    Lam[j, k] = X[j, k]
+            apply_transposed(B, i_sa, i_sg, X, n, Lam)
+            for j in range(n):
+                for k in range(j):
+                    Lam[j, k] = Lam[k, j]
+        elif kind == UPDATE:
+            c -= n
+            f -= n + 2
+            _information_of_update(Lam, w, coarse[c : c + n], fine[f : f + n], fine[f + n], n)
+        elif kind == TURN:
+            f -= 3
+            turn_transposed(Lam, fine[f : f + 3], ATT, n)
+            for j in range(n):
+                for k in range(n):
+                    X[j, k] = Lam[k, j]
+            turn_transposed(X, fine[f : f + 3], ATT, n)
+            for j in range(n):
+                for k in range(n):
+                    Lam[j, k] = X[k, j]
+        else:
+            row -= 1
+            c -= triangle
+            _smoothed_blocks(coarse[c : c + triangle], Lam, X, Y, rows[row], n)

@@ -1,0 +1,280 @@
+"""The Rauch-Tung-Striebel smoother over a recorded tape: the reference for the one without inverse.
+
+    C = P Φᵀ (P⁻)⁻¹ ,  δx = C δx⁻ ,  P_s = P + C (P_s⁻ − P⁻) Cᵀ        over a step
+    δx⁻ = δx + K y                                                      over an update
+
+around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). P and P⁻ are had again by
+walking a chunk of the tape forward from its P.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from companion.estimation.covariance import apply_transition
+from companion.estimation.tape import (
+    C_NOISE_V,
+    C_SUMS,
+    C_T,
+    F32,
+    I8,
+    ROW,
+    STEP,
+    SUMS,
+    SUMS_WITH_SCALE,
+    TURN,
+    UPDATE,
+    read_step,
+)
+from companion.estimation.update import reset_covariance
+from companion.navigation.error_model import transition_blocks
+from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_GYRO_SCALE, L_N, POS, VEL
+from companion.smoothing.transition import decay_factors, noise_diagonal
+from companion.types import F64, I64
+
+
+@njit("b1(f8[:, ::1], f8[:, ::1], i8)", cache=True)
+def factor(A: F64, L: F64, n: int) -> bool:
+    """Lower Cholesky factor of ``A`` in ``L``; False where ``A`` is not positive definite."""
+    for i in range(n):
+        for j in range(i + 1):
+            x = A[i, j]
+            for k in range(j):
+                x -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = x / L[j, j]
+            elif x > 0.0:
+                L[i, i] = math.sqrt(x)
+            else:
+                return False
+    return True
+
+
+@njit("void(f8[:, ::1], f8[:, ::1], i8)", cache=True)
+def solve(L: F64, X: F64, n: int) -> None:
+    """``X`` (n, n) ← (L Lᵀ)⁻¹ X in place."""
+    for i in range(n):
+        for k in range(i):
+            g = L[i, k]
+            for j in range(n):
+                X[i, j] -= g * X[k, j]
+        for j in range(n):
+            X[i, j] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            g = L[k, i]
+            for j in range(n):
+                X[i, j] -= g * X[k, j]
+        for j in range(n):
+            X[i, j] /= L[i, i]
+
+
+@njit(
+    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1],"
+    "f8[:, :, ::1], f8[:, :, ::1])",
+    cache=True,
+)
+def covariances(
+    kinds: I8,
+    coarse: F32,
+    fine: F64,
+    triangle: int,
+    lay: I64,
+    par: F64,
+    s: F64,
+    P: F64,
+    before: F64,
+    foreseen: F64,
+    gains: F64,
+) -> None:
+    """Walk ``P`` (n, n) over a chunk, in place.
+
+    For each step, ``before`` gets P (n, n), ``foreseen`` P⁻ and ``gains`` D Φ P, of which Cᵀ is
+    (P⁻)⁻¹ D Φ P.
+    """
+    n = lay[L_N]
+    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    B = np.empty((24, 3, 3))
+    d, q, dx = np.empty(n), np.empty(n), np.zeros(n)
+    X, Y = np.empty((n, n)), np.empty((9, n))
+    c, f, m = 0, 0, 0
+    for i in range(kinds.shape[0]):
+        kind = kinds[i]
+        if kind == STEP:
+            numbers = coarse[c : c + size]
+            read_step(numbers, lay, s)
+            transition_blocks(s, B)
+            T = float(numbers[C_T])
+            decay_factors(T, lay, par, d)
+            noise_diagonal(numbers, lay, par, d, q)
+            apply_transition(B, i_sa, i_sg, P, n, Y)
+            for j in range(n):
+                for k in range(n):
+                    before[m, j, k] = P[j, k]
+            for j in range(9):
+                for k in range(n):
+                    P[j, k] = Y[j, k]
+            for j in range(n):
+                for k in range(n):
+                    P[j, k] *= d[j]
+                    gains[m, j, k] = P[j, k]
+                    X[k, j] = P[j, k]
+            apply_transition(B, i_sa, i_sg, X, n, Y)
+            for j in range(9):
+                for k in range(n):
+                    X[j, k] = Y[j, k]
+            cross = 0.5 * float(numbers[C_NOISE_V]) * T
+            for j in range(n):
+                for k in range(j, n):
+                    P[j, k] = P[k, j] = X[j, k] * d[j]
+                P[j, j] += q[j]
+            for j in range(3):
+                P[POS + j, VEL + j] += cross
+                P[VEL + j, POS + j] += cross
+            for j in range(n):
+                for k in range(n):
+                    foreseen[m, j, k] = P[j, k]
+            m += 1
+            c += size
+        elif kind == UPDATE:
+            for j in range(n):
+                for k in range(n):
+                    P[j, k] -= fine[f + j] * fine[f + k]
+            c += n
+            f += n + 2
+        elif kind == TURN:
+            for j in range(3):
+                dx[ATT + j] = fine[f + j]
+            reset_covariance(P, dx, n)
+            f += 3
+        else:
+            c += triangle
+
+
+@njit("void(f8[::1], f8[:, ::1], f8[::1], i8)", cache=True)
+def _turn_back(dx: F64, Ps: F64, g: F64, n: int) -> None:
+    """``dx`` ← G⁻¹ dx and ``Ps`` ← G⁻¹ Ps G⁻ᵀ, by Cramer's rule on the attitude block."""
+    x, y, z = 0.5 * g[0], 0.5 * g[1], g[2]
+    G = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
+    A = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            u, v = (i + 1) % 3, (i + 2) % 3
+            A[i, j] = G[p, u] * G[q, v] - G[p, v] * G[q, u]
+    det = G[0, 0] * A[0, 0] + G[0, 1] * A[1, 0] + G[0, 2] * A[2, 0]
+    t = np.empty(3)
+    for i in range(3):
+        t[i] = (A[i, 0] * dx[ATT] + A[i, 1] * dx[ATT + 1] + A[i, 2] * dx[ATT + 2]) / det
+    for i in range(3):
+        dx[ATT + i] = t[i]
+    for side in range(2):
+        for j in range(n):
+            for i in range(3):
+                t[i] = 0.0
+                for k in range(3):
+                    t[i] += A[i, k] * (Ps[ATT + k, j] if side == 0 else Ps[j, ATT + k]) / det
+            for i in range(3):
+                if side == 0:
+                    Ps[ATT + i, j] = t[i]
+                else:
+                    Ps[j, ATT + i] = t[i]
+
+
+@njit("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8)", cache=True)
+def _smooth_covariance(A: F64, D: F64, P: F64, Ps: F64, W: F64, n: int) -> None:
+    """``Ps`` ← P + C (Ps − P⁻) Cᵀ with ``A`` = Cᵀ and ``D`` = P⁻ Cᵀ; ``W`` (n, n) is scratch."""
+    for j in range(n):
+        for k in range(n):
+            W[j, k] = -D[j, k]
+        for q in range(n):
+            g = Ps[j, q]
+            for k in range(n):
+                W[j, k] += g * A[q, k]
+    for j in range(n):
+        for k in range(n):
+            Ps[j, k] = P[j, k]
+    for q in range(n):
+        for j in range(n):
+            g = A[q, j]
+            for k in range(n):
+                Ps[j, k] += g * W[q, k]
+    for j in range(n):
+        for k in range(j):
+            Ps[j, k] = Ps[k, j] = 0.5 * (Ps[j, k] + Ps[k, j])
+
+
+@njit(
+    "b1(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[:, :, ::1], f8[:, :, ::1],"
+    "f8[:, :, ::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
+    cache=True,
+)
+def backward(
+    kinds: I8,
+    coarse: F32,
+    fine: F64,
+    triangle: int,
+    lay: I64,
+    before: F64,
+    foreseen: F64,
+    gains: F64,
+    dx: F64,
+    Ps: F64,
+    rows: F64,
+    cov_rows: F64,
+) -> bool:
+    """Take the smoothed ``dx`` (n,) and its covariance ``Ps`` (n, n) from a chunk's end to its start.
+
+    ``before``, ``foreseen`` and ``gains`` come from :func:`covariances`; the last is spoilt. ``rows``
+    (rows, n) and ``cov_rows`` (rows, n, n) are filled at output rows. False where a P⁻ is not positive definite.
+    """
+    n = lay[L_N]
+    size = C_SUMS + (SUMS_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else SUMS)
+    L, D = np.empty((n, n)), np.empty((n, n))
+    t = np.empty(n)
+    c, f = coarse.shape[0], fine.shape[0]
+    row = rows.shape[0]
+    m = 0
+    for i in range(kinds.shape[0]):
+        m += kinds[i] == STEP
+    for i in range(kinds.shape[0] - 1, -1, -1):
+        kind = kinds[i]
+        if kind == STEP:
+            m -= 1
+            c -= size
+            if not factor(foreseen[m], L, n):
+                return False
+            A = gains[m]  # D Φ P, becomes Cᵀ
+            for j in range(n):
+                for k in range(n):
+                    D[j, k] = A[j, k]
+            solve(L, A, n)
+            for j in range(n):
+                t[j] = 0.0
+            for k in range(n):
+                for j in range(n):
+                    t[j] += A[k, j] * dx[k]
+            for j in range(n):
+                dx[j] = t[j]
+            _smooth_covariance(A, D, before[m], Ps, L, n)
+        elif kind == UPDATE:
+            c -= n
+            f -= n + 2
+            y = fine[f + n] * fine[f + n + 1]
+            for j in range(n):
+                dx[j] += fine[f + j] * y
+        elif kind == TURN:
+            f -= 3
+            _turn_back(dx, Ps, fine[f : f + 3], n)
+        elif kind == ROW:
+            row -= 1
+            c -= triangle
+            for j in range(n):
+                rows[row, j] = dx[j]
+                for k in range(n):
+                    cov_rows[row, j, k] = Ps[j, k]
+    return True
