@@ -18,6 +18,7 @@ from companion.config import DEG, Config
 from companion.estimation import parameters as par
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
+from companion.estimation.recording import Recording, Tape, nothing
 from companion.estimation.update import REPORT_SIZE
 from companion.navigation import layout as lo
 from companion.navigation.alignment import (
@@ -46,15 +47,20 @@ class Filter:
     snaps: F64
     snaps_k: I64
     first: tuple[F64, I64]
+    tape: Tape | None = None
+    """What a smoother reads; only in a run without late aiding, which would have to rewind it."""
 
     @classmethod
-    def start(cls, s: F64, k: I64, slots: int) -> Filter:
+    def start(cls, s: F64, k: I64, slots: int, tape: Tape | None = None) -> Filter:
+        if tape is not None:
+            tape.begin(s, k)
         return cls(
             s,
             k,
             np.zeros((slots, len(s))),
             np.full((slots, len(k)), np.iinfo(np.int64).min),
             (s.copy(), k.copy()),
+            tape,
         )
 
     def restore(self, before: int) -> None:
@@ -99,8 +105,9 @@ class Phase:
 class ErrorStateFilter:
     """Walks sorted inertial samples and aids; can be taken back inside the delay ring."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, record: Recording = "no") -> None:
         self.config = config
+        self._record = record
         self.layout = par.layout(config)
         self._lay = self.layout.vector()
         self._par = par.parameter_vector(config)
@@ -191,6 +198,7 @@ class ErrorStateFilter:
         n_reports = 5 * m + 2 * (span // int(ip[par.STILL_NS]) + 2)
         if ip[par.CONSTRAINT_NS]:
             n_reports += span // int(ip[par.CONSTRAINT_NS]) + 2
+        n_steps = m + n_reports + span // int(ip[par.COVARIANCE_NS]) + 2
         bank = phase.mode is Mode.HEADING_UNKNOWN
         best = phase.checks[-1].best
         code, new_rows = w.DONE, 0
@@ -202,11 +210,17 @@ class ErrorStateFilter:
             rows._room(n_rows)
             reports._room(n_reports)
             at = np.array([i, stop, j, aids.end, rows.end, reports.end], np.int64)
+            tape = nothing(f.k)
+            if f.tape is not None:
+                tape = f.tape.recorder(f.k, min(n_steps, stop - i + m), 3 * n_reports, n_rows)
             c = w.walk(
                 f.s, f.k, self._lay, self._par, self._ipar_bank if bank else ip,
                 imu.t, imu.rows, aids.t, aids.key, aids.rows,
-                rows.t, rows.rows, reports.t, reports.rows, f.snaps, f.snaps_k, at,
+                rows.t, rows.rows, reports.t, reports.rows, f.snaps, f.snaps_k, at, tape,
             )  # fmt: skip
+            if f.tape is not None:
+                new = slice(rows.end, int(at[4]))
+                f.tape.wrote(rows.t[new], rows.rows[new], f.s, f.k)
             new_rows = int(at[4]) - rows.end if index == best else new_rows
             rows.end, reports.end = int(at[4]), int(at[5])
             code = max(code, int(c))
@@ -215,6 +229,13 @@ class ErrorStateFilter:
         return code
 
     # ------------------------------------------------------------------ phases
+
+    def _filter(self, s: F64, k: I64) -> Filter:
+        """A new filter, with a tape of its own where the run is recorded."""
+        tape = None
+        if self._record != "no":
+            tape = Tape(self.layout.n, self._record == "covariance")
+        return Filter.start(s, k, self._slots, tape)
 
     def _say(self, t: int, kind: str, text: str, level: str = "info") -> None:
         self.events.append(Event(t, kind, text, level))  # type: ignore[arg-type]
@@ -420,7 +441,7 @@ class ErrorStateFilter:
             (lo.STILL_CELL, par.STILL_NS),
         ):
             k[cell] = t // int(self._ipar[period])
-        return Filter.start(s, k, self._slots)
+        return self._filter(s, k)
 
     # ------------------------------------------------------------------ decisions on the grid
 
@@ -484,7 +505,12 @@ class ErrorStateFilter:
         P = s[lo.P :].reshape(n, n)
         P[8, 8] = max(P[8, 8], sd * sd)
         s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = s[lo.VELOCITY_FIT] = 0.0
-        new = Phase(t + 1, Mode.NAVIGATING, [Filter.start(s, k, self._slots)], resets=phase.resets)
+        found = Filter.start(s, k, self._slots)
+        if f.tape is not None:
+            # A smoother goes on through the hypothesis that won; P was widened: a new chunk.
+            f.tape.cut(s, k)
+            found.tape = f.tape
+        new = Phase(t + 1, Mode.NAVIGATING, [found], resets=phase.resets)
         new.checks = [Check(t)]
         self.phases.append(new)
         yaw = math.degrees(rpy_from_quat(s[:4])[2]) % 360
@@ -540,7 +566,7 @@ class ErrorStateFilter:
     def _relock(self, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]) -> None:
         """Position aiding was rejected for long, and the fixes agree: believe them."""
         s, k = self._restarted(f, t, aids, fixes)
-        new = Phase(t + 1, Mode.NAVIGATING, [Filter.start(s, k, self._slots)])
+        new = Phase(t + 1, Mode.NAVIGATING, [self._filter(s, k)])
         new.checks = [Check(t)]
         self.phases.append(new)
         self._say(
@@ -565,7 +591,7 @@ class ErrorStateFilter:
         for m in range(count):
             turned = s.copy()
             rotate_nav(turned, 0.0, 0.0, 2.0 * math.pi * m / count)
-            filters.append(Filter.start(turned, k.copy(), self._slots))
+            filters.append(self._filter(turned, k.copy()))
         new = Phase(t + 1, Mode.HEADING_UNKNOWN, filters)
         new.checks = [Check(t, 0, math.pi)]
         self.phases.append(new)

@@ -41,6 +41,7 @@ from companion.types import F64, I64
 
 F32 = NDArray[np.float32]
 I8 = NDArray[np.int8]
+Recorder = tuple[I8, F32, F64, I64]
 
 STEP, UPDATE, TURN, ROW = 0, 1, 2, 3
 
@@ -61,7 +62,7 @@ WITH_COVARIANCE = 3
 
 
 @njit(f"void({RECORDER}, f8[::1], i8[::1], f8[::1])", cache=True)
-def record_step(tape: tuple[I8, F32, F64, I64], s: F64, lay: I64, par: F64) -> None:
+def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     """Put down the running covariance interval of ``s``, before it is closed."""
     kinds, coarse, _, at = tape
     T = s[SUM_T]
@@ -82,9 +83,7 @@ def record_step(tape: tuple[I8, F32, F64, I64], s: F64, lay: I64, par: F64) -> N
 
 
 @njit(f"void({RECORDER}, f8[::1], f8[::1], f8, f8, i8)", cache=True)
-def record_update(
-    tape: tuple[I8, F32, F64, I64], H: F64, gain: F64, r: float, y: float, n: int
-) -> None:
+def record_update(tape: Recorder, H: F64, gain: F64, r: float, y: float, n: int) -> None:
     """Put down a scalar update: ``H`` (n,), ``gain`` = P Hᵀ r, ``r`` = 1/√S, innovation ``y``."""
     kinds, coarse, fine, at = tape
     if kinds.shape[0] == 0:
@@ -101,7 +100,7 @@ def record_update(
 
 
 @njit(f"void({RECORDER}, f8[::1])", cache=True)
-def record_turn(tape: tuple[I8, F32, F64, I64], dx: F64) -> None:
+def record_turn(tape: Recorder, dx: F64) -> None:
     """Put down the reset of the attitude error by the correction ``dx`` (n,)."""
     kinds, _, fine, at = tape
     if kinds.shape[0] == 0:
@@ -114,7 +113,7 @@ def record_turn(tape: tuple[I8, F32, F64, I64], dx: F64) -> None:
 
 
 @njit(f"void({RECORDER}, f8[::1], i8[::1])", cache=True)
-def record_row(tape: tuple[I8, F32, F64, I64], s: F64, lay: I64) -> None:
+def record_row(tape: Recorder, s: F64, lay: I64) -> None:
     """Mark an output row, with the upper triangle of P where it is wanted."""
     kinds, coarse, _, at = tape
     if kinds.shape[0] == 0:

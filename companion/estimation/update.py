@@ -16,6 +16,7 @@ from numba import njit
 
 from companion.estimation.adaptation import scale_of
 from companion.estimation.parameters import BANK, FEEDFORWARD, GATE
+from companion.estimation.tape import RECORDER, Recorder, record_turn, record_update
 from companion.navigation.error_model import box_plus
 from companion.navigation.layout import (
     ATT,
@@ -94,7 +95,7 @@ def reset_covariance(P: F64, dx: F64, n: int) -> None:
 
 @njit(
     "b1(f8[::1], i8[::1], f8[::1], i8[::1], i8, i8, f8[:, ::1], f8[::1], f8[::1], i8,"
-    "f8[:, ::1], f8[::1])",
+    f"f8[:, ::1], f8[::1], {RECORDER})",
     cache=True,
 )
 def fuse(
@@ -110,10 +111,12 @@ def fuse(
     m: int,
     W: F64,
     report: F64,
+    tape: Recorder,
 ) -> bool:
     """Gate ``m`` components (``H`` (3, n), ``y`` (3,), variances ``R`` (3,)) and apply them.
 
-    Fills ``report`` and returns whether the measurement was accepted. ``W`` (≥ 9, n) is scratch.
+    Fills ``report`` and returns whether the measurement was accepted. ``W`` (≥ 9, n) is scratch,
+    ``tape`` what a smoother reads later.
     """
     n = lay[L_N]
     P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
@@ -183,6 +186,7 @@ def fuse(
         r = 1.0 / math.sqrt(v)
         for j in range(n):
             a[j] *= r
+        record_update(tape, H[i], a, r, e, n)
         for j in range(n):
             dx[j] += a[j] * (r * e)
             g = a[j]
@@ -194,4 +198,5 @@ def fuse(
     else:
         box_plus(s, lay, dx)
         reset_covariance(P, dx, n)
+        record_turn(tape, dx)
     return True

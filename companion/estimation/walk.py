@@ -40,6 +40,7 @@ from companion.estimation.parameters import (
     ZERO_VELOCITY,
     ZUPT_VAR,
 )
+from companion.estimation.tape import RECORDER, Recorder, record_row, record_step
 from companion.estimation.update import fuse
 from companion.measurements.barometer import height
 from companion.measurements.gnss import position, velocity
@@ -111,7 +112,7 @@ _POS_H, _POS_V, _VEL_H, _VEL_V, _BARO, _MAG, _COURSE, _ZUPT, _ZARU, _NHC = range
 
 @njit(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[::1], i8, f8[:, ::1], f8[:, ::1],"
-    "f8[:, ::1], i8[::1], f8[:, ::1], i8)",
+    f"f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
 )
 def fuse_gnss(
@@ -129,6 +130,7 @@ def fuse_gnss(
     reports_t: I64,
     reports: F64,
     count: int,
+    tape: Recorder,
 ) -> int:
     """Fuse one fix: position and velocity, horizontal and vertical apart, then course.
 
@@ -174,7 +176,7 @@ def fuse_gnss(
             y[0] = y[2]
             for j in range(n):
                 H[0, j] = H[2, j]
-        good = fuse(s, lay, par, ipar, half, source, H, y, R, m, W, reports[count])
+        good = fuse(s, lay, par, ipar, half, source, H, y, R, m, W, reports[count], tape)
         reports_t[count] = t
         count += 1
         if half == 0:
@@ -195,7 +197,7 @@ def fuse_gnss(
         azimuth = math.atan2(z[A_VELOCITY + 1], z[A_VELOCITY])
         if direction(lay, C, 1.0, 0.0, 0.0, azimuth, H, y):
             R[0] = par[COURSE_VAR] + z[A_VAR_VELOCITY] / (s[GNSS_SPEED] * s[GNSS_SPEED])
-            fuse(s, lay, par, ipar, _COURSE, source, H, y, R, 1, W, reports[count])
+            fuse(s, lay, par, ipar, _COURSE, source, H, y, R, 1, W, reports[count], tape)
             reports_t[count] = t
             count += 1
     return count
@@ -203,7 +205,7 @@ def fuse_gnss(
 
 @njit(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[::1], i8, f8[:, ::1],"
-    "f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8)",
+    f"f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
 )
 def fuse_aid(
@@ -221,10 +223,13 @@ def fuse_aid(
     reports_t: I64,
     reports: F64,
     count: int,
+    tape: Recorder,
 ) -> int:
     """Fuse one row of the aid table; returns the number of report rows after it."""
     if kind[0] == KIND_GNSS:
-        return fuse_gnss(s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count)
+        return fuse_gnss(
+            s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count, tape
+        )
     y = np.empty(3)
     R = np.empty(3)
     R[0] = z[A_VAR]
@@ -238,14 +243,14 @@ def fuse_aid(
         quat_to_matrix(s, C)
         if not direction(lay, C, z[A_VALUE], z[A_VALUE + 1], z[A_VALUE + 2], z[A_AZIMUTH], H, y):
             return count
-    fuse(s, lay, par, ipar, channel, kind[1], H, y, R, 1, W, reports[count])
+    fuse(s, lay, par, ipar, channel, kind[1], H, y, R, 1, W, reports[count], tape)
     reports_t[count] = t
     return count + 1
 
 
 @njit(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1],"
-    "i8[::1], f8[:, ::1], i8)",
+    f"i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
 )
 def fuse_constraints(
@@ -261,6 +266,7 @@ def fuse_constraints(
     reports_t: I64,
     reports: F64,
     count: int,
+    tape: Recorder,
 ) -> int:
     """Zero velocity and zero rate once a standing quarter, non-holonomic on its grid otherwise."""
     y = np.empty(3)
@@ -269,7 +275,7 @@ def fuse_constraints(
         for i in range(3):
             R[i] = par[ZUPT_VAR]
         zero_velocity(s, lay, H, y)
-        good = fuse(s, lay, par, ipar, _ZUPT, 0, H, y, R, 3, W, reports[count])
+        good = fuse(s, lay, par, ipar, _ZUPT, 0, H, y, R, 3, W, reports[count], tape)
         reports_t[count] = t
         count += 1
         if good:
@@ -278,7 +284,7 @@ def fuse_constraints(
             R[i] = par[ZARU_VAR]
         quat_to_matrix(s, C)
         zero_rate(s, k, lay, C, H, y)
-        fuse(s, lay, par, ipar, _ZARU, 0, H, y, R, 3, W, reports[count])
+        fuse(s, lay, par, ipar, _ZARU, 0, H, y, R, 3, W, reports[count], tape)
         reports_t[count] = t
         count += 1
     if ipar[CONSTRAINT_NS] > 0 and t // ipar[CONSTRAINT_NS] != k[T_CONSTRAINT]:
@@ -287,7 +293,7 @@ def fuse_constraints(
             R[0] = R[1] = par[NHC_VAR]
             quat_to_matrix(s, C)
             sideways(s, lay, C, par[NHC_LEVER], par[NHC_LEVER + 1], par[NHC_LEVER + 2], H, y)
-            fuse(s, lay, par, ipar, _NHC, 0, H, y, R, 2, W, reports[count])
+            fuse(s, lay, par, ipar, _NHC, 0, H, y, R, 2, W, reports[count], tape)
             reports_t[count] = t
             count += 1
     return count
@@ -359,7 +365,8 @@ def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
 
 @njit(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[:, ::1], i8[::1], i8[:, ::1],"
-    "f8[:, ::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1])",
+    "f8[:, ::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1],"
+    f"{RECORDER})",
     cache=True,
 )
 def walk(
@@ -380,6 +387,7 @@ def walk(
     snaps: F64,
     snaps_k: I64,
     at: I64,
+    tape: Recorder,
 ) -> int:
     """Walk state ``s``, ``k`` over samples ``at[0]:at[1]`` and aids ``at[2]:at[3]``.
 
@@ -420,10 +428,11 @@ def walk(
         healthy = True
         while j < at[3] and aid_t[j] <= t:
             _step(s, k, scale, par, sample, aid_t[j], t, mixed, C)
+            record_step(tape, s, lay, par)
             healthy = propagate(s, lay, par, B, W) and healthy
             n_reports = fuse_aid(
                 s, k, lay, par, ipar, aid_kind[j], aid[j], aid_t[j], C, H, W,
-                reports_t, reports, n_reports,
+                reports_t, reports, n_reports, tape,
             )  # fmt: skip
             j += 1
         _step(s, k, scale, par, sample, t, t, mixed, C)
@@ -438,10 +447,11 @@ def walk(
         cell = t // ipar[COVARIANCE_NS]
         if standing or due or cell != k[T_COVARIANCE]:
             k[T_COVARIANCE] = cell
+            record_step(tape, s, lay, par)
             healthy = propagate(s, lay, par, B, W) and healthy
             if (standing or due) and healthy:
                 n_reports = fuse_constraints(
-                    s, k, lay, par, ipar, t, C, H, W, reports_t, reports, n_reports
+                    s, k, lay, par, ipar, t, C, H, W, reports_t, reports, n_reports, tape
                 )
         i += 1
         if not healthy:
@@ -452,6 +462,7 @@ def walk(
             k[T_OUTPUT] = cell
             rows_t[n_rows] = t
             write_row(s, k, lay, ipar, total, rows[n_rows])
+            record_row(tape, s, lay)
             n_rows += 1
         cell = t // ipar[SNAPSHOT_NS]
         if cell != k[T_SNAPSHOT]:

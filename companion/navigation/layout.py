@@ -82,7 +82,8 @@ T_COVARIANCE = 12  # grid cell of the last covariance step
 T_SNAPSHOT = 13  # grid cell of the last snapshot
 RESETS = 14  # declared resets so far
 T_CHECK = 15  # sample at which the last decision above the kernel was taken
-INT_SIZE = 16
+TAPE_AT = 16  # (4) where the smoother's tape stands, see tape.py
+INT_SIZE = 20
 
 # --- error state
 POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12

@@ -51,7 +51,7 @@ from companion.types import F64, I64
 
 @njit("void(f8[:, ::1], f8[::1], i8, i8)", cache=True)
 def turn_transposed(X: F64, g: F64, at: int, cols: int) -> None:
-    """``X`` ← Gᵀ X on the attitude rows from ``at`` on; ``g`` the correction of φ, see update.py."""
+    """``X`` ← Gᵀ X on the attitude rows from ``at`` on; ``g`` corrects φ, see update.py."""
     x, y, z = 0.5 * g[0], 0.5 * g[1], g[2]
     for j in range(cols):
         a, b, c = X[at, j], X[at + 1, j], X[at + 2, j]

@@ -227,10 +227,11 @@ def backward(
     rows: F64,
     cov_rows: F64,
 ) -> bool:
-    """Take the smoothed ``dx`` (n,) and its covariance ``Ps`` (n, n) from a chunk's end to its start.
+    """Take the smoothed error and its covariance from a chunk's end to its start, in place.
 
-    ``before``, ``foreseen`` and ``gains`` come from :func:`covariances`; the last is spoilt. ``rows``
-    (rows, n) and ``cov_rows`` (rows, n, n) are filled at output rows. False where a P⁻ is not positive definite.
+    ``dx`` (n,), ``Ps`` (n, n); ``before``, ``foreseen`` and ``gains`` come from :func:`covariances`,
+    and the last is spoilt. ``rows`` (rows, n) and ``cov_rows`` (rows, n, n) are filled at output
+    rows. False where a P⁻ is not positive definite.
     """
     n = lay[L_N]
     size = C_SUMS + (SUMS_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else SUMS)

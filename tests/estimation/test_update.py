@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from companion.config import Config, EngineConfig
 from companion.estimation import parameters as par
 from companion.estimation import update as up
+from companion.estimation.recording import nothing
 from companion.navigation import layout as lo
 from companion.navigation.alignment import attitude_covariance
 from companion.navigation.error_model import box_plus
@@ -34,6 +35,7 @@ def _fuse(
     good = up.fuse(
         s, layout.vector(), par.parameter_vector(config), par.integer_vector(config), 0, 0,
         full, innovation, variance, m, np.empty((9 + layout.n, layout.n)), report,
+        nothing(np.zeros(lo.INT_SIZE, np.int64)),
     )  # fmt: skip
     return bool(good), report
 
@@ -134,11 +136,12 @@ _LAY = CORE.vector()
 _PAR, _IPAR = par.parameter_vector(OPEN), par.integer_vector(OPEN)
 _W, _REPORT, _H = np.empty((24, 15)), np.zeros(up.REPORT_SIZE), np.zeros((3, 15))
 _Y, _R = np.zeros(3), np.zeros(3)
+_NO_TAPE = nothing(np.zeros(lo.INT_SIZE, np.int64))
 
 
 def _fuse_quick(s: F64, h: F64, R: float) -> None:
     _H[0], _R[0] = h, R
-    assert up.fuse(s, _LAY, _PAR, _IPAR, 0, 0, _H, _Y, _R, 1, _W, _REPORT)
+    assert up.fuse(s, _LAY, _PAR, _IPAR, 0, 0, _H, _Y, _R, 1, _W, _REPORT, _NO_TAPE)
 
 
 @settings(max_examples=50, deadline=None)
