@@ -229,7 +229,7 @@ def backward(
 ) -> bool:
     """Take the smoothed error and its covariance from a chunk's end to its start, in place.
 
-    ``dx`` (n,), ``Ps`` (n, n); ``before``, ``foreseen`` and ``gains`` come from :func:`covariances`,
+    ``dx`` (n,), ``Ps`` (n, n); ``before``, ``foreseen``, ``gains`` come from :func:`covariances`,
     and the last is spoilt. ``rows`` (rows, n) and ``cov_rows`` (rows, n, n) are filled at output
     rows. False where a P⁻ is not positive definite.
     """
