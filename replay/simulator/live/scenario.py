@@ -59,7 +59,6 @@ def live_config(scenario: Scenario, mavlink: str, can: str | None, zenoh_listen:
     bus = CanBus(
         channel=can or "",
         interface="slcan",
-        options={"sleep_after_open": 0.0},  # a real adapter may need its two seconds
         imu=(unit,),
     )
     replace = msgspec.structs.replace
