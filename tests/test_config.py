@@ -38,6 +38,7 @@ def recording(format_: str, config_toml: str | None = None) -> Recording:
         ("[imu]\nlatency_ms = -5", "milliseconds between 0 and 500"),
         ("[imu]\ngyro_bias_sd_dps = inf", "key 'imu.gyro_bias_sd_dps': must be positive"),
         ("[imu]\nlatency_ms = nan", "key 'imu.latency_ms'"),
+        ("[imu]\ngyro_vibration_gain_rthz = -0.1", "gyro_vibration_gain_rthz': zero (none) or"),
         ("[imu]\ngyro_bias_dps = [0.0, nan, 0.0]", "key 'imu.gyro_bias_dps': three numbers within"),
         ("[imu]\naccel_bias_mps2 = [0.0, 0.0, -11.0]", "key 'imu.accel_bias_mps2': three numbers"),
         ("[engine]\ngate_probability = 1.0", "key 'engine.gate_probability'"),

@@ -162,6 +162,8 @@ _POSITIVE = (
     "engine.imu_gap_bridge_s",
 )
 
+_NOT_NEGATIVE = ("imu.vibration_gain_rthz", "imu.gyro_vibration_gain_rthz")
+
 
 def _check(config: Config) -> None:
     for key in _POSITIVE:
@@ -169,6 +171,11 @@ def _check(config: Config) -> None:
         value = getattr(getattr(config, section), name)
         if not (math.isfinite(value) and value > 0):
             raise ConfigError(f"key '{key}': must be positive, got {value}")
+    for key in _NOT_NEGATIVE:
+        section, name = key.split(".")
+        value = getattr(getattr(config, section), name)
+        if not (math.isfinite(value) and value >= 0):
+            raise ConfigError(f"key '{key}': zero (none) or positive, got {value}")
     for key, biases, limit, unit in (
         ("imu.gyro_bias_dps", config.imu.gyro_bias_dps, 100.0, "deg/s"),
         ("imu.accel_bias_mps2", config.imu.accel_bias_mps2, 10.0, "m/s²"),

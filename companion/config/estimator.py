@@ -48,6 +48,8 @@ class Imu(Section):
     vibration_gain_rthz: float = 0.05
     """Further accelerometer noise density per m/s² of vibration (1σ over a quarter of the
     standstill window) [1/√Hz]; rectification and aliasing grow with what shakes the sensor."""
+    gyro_vibration_gain_rthz: float = 0.0
+    """Further gyro noise density, axis by axis, per rate of vibration (1σ, as above) [1/√Hz]."""
     scale_factor_states: bool = False
     gyro_scale_sd_ppm: float = 5000.0
     accel_scale_sd_ppm: float = 5000.0
@@ -119,7 +121,8 @@ class Constraints(Section):
     """A standstill is never declared while a recent GNSS velocity exceeds this (plus 2σ)."""
     non_holonomic: bool = False
     non_holonomic_sd_mps: float = 0.1
-    non_holonomic_rate_hz: float = 10.0
+    non_holonomic_rate_hz: float = 2.0
+    """Springs and tyres make errors that last for half a second: more often is no news."""
     non_holonomic_lever_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """From the IMU to the point that does not slip sideways (the rear axle)."""
     course: bool = False

@@ -24,6 +24,7 @@ from companion.estimation.parameters import (
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
     GYRO_PSD,
+    GYRO_VIBRATION_GAIN,
     VIBRATION_GAIN,
 )
 from companion.navigation.error_model import transition_blocks
@@ -35,12 +36,14 @@ from companion.navigation.layout import (
     GNSS_BIAS,
     GYRO_BIAS,
     GYRO_BIAS_B,
+    GYRO_VIBRATION,
     L_ACCEL_SCALE,
     L_BARO,
     L_GNSS,
     L_GYRO_SCALE,
     L_N,
     POS,
+    SUM_C,
     SUM_T,
     SUM_XA,
     SUM_XV,
@@ -138,6 +141,18 @@ def _decay_and_noise(s: F64, lay: I64, par: F64) -> None:
         P[VEL + i, POS + i] += 0.5 * qv * T
         P[VEL + i, VEL + i] += qv
         P[ATT + i, ATT + i] += qa
+    if par[GYRO_VIBRATION_GAIN] > 0.0:
+        # Engines and roads shake a vehicle about one axis more than about another, so each gyro
+        # has a noise of its own: C_nb diag(q) C_nbᵀ T, with the mean of C_nb over the interval.
+        for i in range(3):
+            for j in range(i + 1):
+                q = 0.0
+                for k in range(3):
+                    q += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
+                q *= par[GYRO_VIBRATION_GAIN] / T
+                P[ATT + i, ATT + j] += q
+                if i != j:
+                    P[ATT + j, ATT + i] += q
 
 
 @njit("b1(f8[::1], i8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1])", cache=True)

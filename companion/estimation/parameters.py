@@ -40,9 +40,10 @@ from companion.types import F64, I64, NS
     BRIDGED_DT,  # an IMU interval longer than this is a bridged gap
     VIBRATION_GAIN,  # accelerometer noise density per vibration, squared [1/Hz]
     LATENCY_VAR,  # of a fix's time of validity [s²]
+    GYRO_VIBRATION_GAIN,  # gyro noise density per vibration of its axis, squared [1/Hz]
     DIVERGED_VAR,  # horizontal position variance beyond use [m²]
     SIZE,
-) = range(29)
+) = range(30)
 
 # --- integer parameters
 (
@@ -93,6 +94,7 @@ def parameter_vector(config: Config) -> F64:
     p[LATENCY_VAR] = (config.gnss.latency_sd_ms * 1e-3) ** 2
     p[DIVERGED_VAR] = config.engine.diverged_position_sd_m**2
     p[VIBRATION_GAIN] = imu.vibration_gain_rthz**2
+    p[GYRO_VIBRATION_GAIN] = imu.gyro_vibration_gain_rthz**2
     return p
 
 

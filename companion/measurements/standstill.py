@@ -19,6 +19,7 @@ from companion.navigation.layout import (
     GNSS_SPEED_SD,
     GYRO_BIAS,
     GYRO_BIAS_B,
+    GYRO_VIBRATION,
     L_N,
     LAT,
     STANDING,
@@ -99,6 +100,8 @@ def observe(
                 s[slot + i] = mean
                 s[slot + 6 + i] = max(0.0, s[STILL_SUM + 7 + i] / count - mean * mean)
             s[VIBRATION] = (s[slot + 9] + s[slot + 10] + s[slot + 11]) / 3.0
+            for i in range(3):
+                s[GYRO_VIBRATION + i] = s[slot + 6 + i]
             k[STILL_COUNT] += 1
             k[STANDING] = 2 + _decide(s, k, t, gyro, accel, speed)
         else:

@@ -56,11 +56,12 @@ STILL_RING = STILL + 13  # per sub-block: means (6), variances (6)
 STILL_LEARNED = STILL_RING + STILL_SUB * 12  # weight, variances at rest (6)
 STILL_SIZE = 13 + STILL_SUB * 12 + 7
 VIBRATION = STILL + STILL_SIZE  # variance of specific force over the last full quarter [(m/s²)²]
-VELOCITY_FIT = VIBRATION + 1  # NIS per component of horizontal velocity, running mean
-BANK_NIS = VIBRATION + 2  # sum of capped NIS over what the bank competes on
-BANK_DOF = VIBRATION + 3  # and of its components
+GYRO_VIBRATION = VIBRATION + 1  # (3) variance of rate, axis by axis, likewise [(rad/s)²]
+VELOCITY_FIT = VIBRATION + 4  # NIS per component of horizontal velocity, running mean
+BANK_NIS = VIBRATION + 5  # sum of capped NIS over what the bank competes on
+BANK_DOF = VIBRATION + 6  # and of its components
 # --- adaptive scale on R, one a channel
-R_SCALE = VIBRATION + 4
+R_SCALE = VIBRATION + 7
 CHANNELS = 10
 # --- covariance, last because its size varies
 P = R_SCALE + CHANNELS

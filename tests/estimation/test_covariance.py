@@ -147,9 +147,13 @@ def _propagate(s: F64, layout: lo.Layout, config: Config) -> bool:
 @pytest.mark.parametrize("seed", range(4))
 def test_propagation_equals_dense_algebra(layout: lo.Layout, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    config = Config(imu=Imu(gyro_bias_tau_s=50.0, accel_bias_tau_s=20.0))
+    imu = Imu(gyro_bias_tau_s=50.0, accel_bias_tau_s=20.0, gyro_vibration_gain_rthz=0.03)
+    config = Config(imu=imu)
     s = random_state(rng, layout)
+    s[lo.VIBRATION] = 0.4
+    s[lo.GYRO_VIBRATION : lo.GYRO_VIBRATION + 3] = shaken = rng.uniform(0.0, 0.02, 3)
     _fly(s, _samples(rng, 5), 0.005)
+    C = s[lo.SUM_C : lo.SUM_C + 9].reshape(3, 3) / s[lo.SUM_T]
     s[lo.DX : lo.DX + layout.n] = dx = rng.standard_normal(layout.n)
     before, phi, T = covariance(s, layout).copy(), _dense(s, layout), s[lo.SUM_T]
     p = par.parameter_vector(config)
@@ -163,10 +167,11 @@ def test_propagation_equals_dense_algebra(layout: lo.Layout, seed: int) -> None:
         decay[at : at + 3] = d
         Q[range(at, at + 3), range(at, at + 3)] = np.array([psd, psd, down]) * tau / 2 * (1 - d * d)
     for i in range(3):
-        q = p[par.ACCEL_PSD]
+        q = p[par.ACCEL_PSD] + p[par.VIBRATION_GAIN] * s[lo.VIBRATION]
         Q[i, i] += q * T**3 / 3
         Q[i, 3 + i] = Q[3 + i, i] = q * T**2 / 2
         Q[3 + i, 3 + i], Q[6 + i, 6 + i] = q * T, p[par.GYRO_PSD] * T
+    Q[6:9, 6:9] += 0.03**2 * T * (C * shaken) @ C.T
     if layout.baro >= 0:
         Q[layout.baro, layout.baro] = p[par.BARO_PSD] * T
     full = np.diag(decay) @ phi
