@@ -14,6 +14,7 @@ Conventions (the contract of the whole project)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from functools import cache
@@ -259,6 +260,10 @@ class Solution:
         """(N, 5, 3) standard deviations of the blocks of :attr:`cov`."""
         out: F64 = np.sqrt(self.cov[:, :, [0, 3, 5]])
         return out
+
+    def take(self, index: slice | Sequence[int] | I64) -> Solution:
+        """The epochs of ``index``."""
+        return Solution(*(getattr(self, f.name)[index] for f in fields(self)))
 
     @classmethod
     def empty(cls) -> Solution:

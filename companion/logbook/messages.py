@@ -260,8 +260,7 @@ def drawable(solution: Solution, interval_ns: int, last_slot: int) -> tuple[Solu
         finite = np.isfinite(getattr(solution, name))
         usable &= finite if finite.ndim == 1 else finite.all(axis=1)
     index = np.flatnonzero(usable)
-    cut = Solution(*(getattr(solution, f)[index] for f in Solution.__slots__))
-    return cut, int(slot[-1]) if len(slot) else last_slot
+    return solution.take(index), int(slot[-1]) if len(slot) else last_slot
 
 
 def _symmetric(upper: F64) -> F64:
