@@ -1,5 +1,9 @@
-"""MAVLink 1 and 2 as a pure codec: bytes to frames to columns, without sockets or clocks.
+"""MAVLink 1 and 2 in three layers, none of which knows the others' business.
 
-``framer`` finds and checks frames, ``dialect`` knows the messages' layouts, ``columns`` turns the
-frames of one message into a structured array. Sockets and serial devices live elsewhere.
+- Codec, pure: ``framer`` finds and checks frames, ``dialect`` knows the messages' layouts,
+  ``columns`` turns the frames of one message into a structured array, ``samples`` gives them units
+  (logs are read with these too), ``packer`` and ``signing`` make frames.
+- ``session``, pure: one autopilot behind one link. ``converter`` turns what it sends into samples,
+  ``boot_clock`` and ``timesync`` bring its time onto ours, ``rates`` asks for messages.
+- ``endpoint``: sockets and serial devices, without a thought about what passes through.
 """

@@ -43,8 +43,11 @@ STAMP_BYTES = 8
 
 
 @njit("i8(Array(u1, 1, 'C', readonly=True), i8, i8, i8)", cache=True)
-def _x25(buf: U8, start: Int, end: Int, seed: Int) -> Int:
-    """CRC-16/MCRF4XX of ``buf[start:end]`` followed by the byte ``seed``."""
+def checksum(buf: U8, start: Int, end: Int, seed: Int) -> Int:
+    """CRC-16/MCRF4XX of ``buf[start:end]`` followed by the byte ``seed``: a frame's checksum.
+
+    ``start`` is the byte after the magic, ``end`` the end of the payload, ``seed`` the message's.
+    """
     crc = np.int64(0xFFFF)
     for i in range(start, end + 1):
         byte = np.int64(buf[i]) if i < end else np.int64(seed)
@@ -94,7 +97,7 @@ def _parse(buf: U8, at: Int, table: NDArray[np.int16], row: NDArray[np.int64]) -
         return -1
     if seed >= 0:
         crc = np.int64(buf[body]) | (np.int64(buf[body + 1]) << 8)
-        if _x25(buf, at + 1, body, seed) != crc:
+        if checksum(buf, at + 1, body, seed) != crc:
             return -2
     row[_START] = at
     row[_VERSION] = 2 if magic == 0xFD else 1
