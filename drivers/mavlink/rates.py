@@ -167,8 +167,6 @@ class RateKeeper:
             standing.halvings += 1
             standing.rate_hz /= 2
         elif not standing.next_message():
-            standing.choice = 0
-            standing.begin_message()
             standing.by_stream = True
 
     def tick(self, now_ns: int, system: int, component: int) -> list[Any]:
@@ -181,17 +179,18 @@ class RateKeeper:
             if 0 <= now_ns - self._sent_ns < _ANSWER_NS:
                 return []
             if self._waiting.tries >= _TRIES:
-                self._refused(self._waiting)
+                # Not even a refusal: it does not know the command.
+                self._waiting.by_stream = True
             self._waiting = None
-        standing = next((s for s in self._all if s.open), None)
-        if standing is None:
+        due = next((s for s in self._all if s.open), None)
+        if due is None:
             return []
-        if standing.by_stream:
-            standing.settle(now_ns, self._counts)
-            return [self._data_stream(standing, system, component)]
-        self._waiting, self._sent_ns = standing, now_ns
-        standing.tries += 1
-        return [_interval(standing, system, component)]
+        if due.by_stream:
+            due.settle(now_ns, self._counts)
+            return [self._data_stream(due, system, component)]
+        self._waiting, self._sent_ns = due, now_ns
+        due.tries += 1
+        return [_interval(due, system, component)]
 
     def _data_stream(self, standing: _Standing, system: int, component: int) -> Any:
         stream = _STREAMS[standing.message]
