@@ -143,3 +143,23 @@ def test_choice_of_configuration(tmp_path: Path) -> None:
 def test_bad_configuration_in_a_log_names_the_log() -> None:
     with pytest.raises(ConfigError, match=r"configuration in flight: unknown key 'imu\.x'"):
         choose_config(recording("folder", "[imu]\nx = 1"))
+
+
+def test_a_dbc_file_is_looked_for_beside_the_configuration(tmp_path: Path) -> None:
+    path = tmp_path / "rover.toml"
+    path.write_text(
+        """
+[[can]]
+channel = "can0"
+[[can.imu]]
+name = "unit"
+protocol = "dbc"
+[can.imu.dbc]
+file = "unit.dbc"
+gyro_signals = ["a", "b", "c"]
+accel_signals = ["d", "e", "f"]
+"""
+    )
+    mapping = load(path).can[0].imu[0].dbc
+    assert mapping is not None
+    assert mapping.file == str(tmp_path / "unit.dbc")

@@ -213,9 +213,22 @@ def parse(text: str, origin: str = "configuration") -> Config:
 
 
 def load(path: Path) -> Config:
-    """Typed configuration from a TOML file."""
+    """Typed configuration from a TOML file; DBC files it names are looked for beside it."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
-    return parse(text, str(path))
+    return _beside(parse(text, str(path)), path.parent)
+
+
+def _beside(config: Config, folder: Path) -> Config:
+    """The same configuration with the paths of DBC files relative to ``folder`` resolved."""
+    replace = msgspec.structs.replace
+    buses = []
+    for bus in config.can:
+        units = [
+            replace(imu, dbc=replace(imu.dbc, file=str(folder / imu.dbc.file))) if imu.dbc else imu
+            for imu in bus.imu
+        ]
+        buses.append(replace(bus, imu=tuple(units)))
+    return replace(config, can=tuple(buses))

@@ -4,7 +4,13 @@ Codecs turn frames with their times of arrival into :class:`~companion.types.Imu
 ``clock`` finds the times of validity. Only ``transport`` touches devices.
 """
 
-from drivers.can_imu.decoder import CanCounters, CanFrame, CanImuDecoder, CanImuEncoder
+from drivers.can_imu.decoder import (
+    CanCounters,
+    CanFrame,
+    CanImuDecoder,
+    CanImuEncoder,
+    rounding_density,
+)
 from drivers.can_imu.factory import PROTOCOLS, make_decoder, make_encoder
 from drivers.can_imu.transport import CanTransport, ReceivedFrame, open_can
 
@@ -19,4 +25,5 @@ __all__ = [
     "make_decoder",
     "make_encoder",
     "open_can",
+    "rounding_density",
 ]

@@ -115,6 +115,24 @@ class SensorClock:
         self._anchor = min(y - self._slope * x for x, y in self._blocks)
 
 
+class Unwrapped:
+    """A clock of ``bits`` that wraps, as nanoseconds that do not."""
+
+    def __init__(self, bits: int, tick_ns: float) -> None:
+        self._modulus = 1 << bits
+        self._tick_ns = tick_ns
+        self._raw: int | None = None
+        self._ticks = 0
+
+    def at(self, raw: int) -> int:
+        """Time since the first reading [ns]; a step back of less than half the range shows."""
+        if self._raw is not None:
+            step = (raw - self._raw) % self._modulus
+            self._ticks += step - self._modulus if step > self._modulus // 2 else step
+        self._raw = raw
+        return round(self._ticks * self._tick_ns)
+
+
 class Counter:
     """A counter of ``bits`` that goes up by one a sample and wraps; finds lost and repeated ones.
 

@@ -71,20 +71,21 @@ class CanImuDecoder(ABC):
     Other traffic is left alone, bad frames are counted and dropped; nothing raises.
     """
 
-    def __init__(
-        self, unit: Unit, gyro_full_scale: float = math.inf, accel_full_scale: float = math.inf
-    ) -> None:
-        """Full scales [rad/s, m/s²]: the wire format's own, where it has one."""
+    steps: tuple[float, float] = (0.0, 0.0)
+    """Last place of the wire format [rad/s, m/s²]; 0 for floats. See :func:`rounding_density`."""
+
+    def __init__(self, unit: Unit, full_scale: tuple[float, ...] = (math.inf,) * 6) -> None:
+        """``full_scale`` (6,) [rad/s, m/s²]: the wire format's own."""
         self.source = unit.source
         self.counters = CanCounters()
         self.saturated: tuple[str, ...] = ()
         """Axes of the latest sample at the end of their range, named in the unit's own frame."""
         self._unit = unit
         self._turned = unit.axes != IDENTITY
-        gyro_limit = min(unit.gyro_range, gyro_full_scale)
-        accel_limit = min(unit.accel_range, accel_full_scale)
-        self._limits = (gyro_limit,) * 3 + (accel_limit,) * 3
-        self._limited = math.isfinite(gyro_limit) or math.isfinite(accel_limit)
+        own = (unit.gyro_range,) * 3 + (unit.accel_range,) * 3
+        # A little less, so that rounding in a unit's scale does not hide the last step.
+        self._limits = tuple(min(a, b) * (1.0 - 1e-9) for a, b in zip(own, full_scale, strict=True))
+        self._limited = min(self._limits) < math.inf
         self._times: list[tuple[int, int, int]] = []
         self._values: list[tuple[float, ...]] = []
 
@@ -147,6 +148,15 @@ class CanImuDecoder(ABC):
         )
         if self.saturated:
             self.counters.saturated += 1
+
+
+def rounding_density(step: float, rate_hz: float) -> float:
+    """Noise density that rounding to ``step`` adds, in its unit per √Hz: step / √(12 rate).
+
+    A rounding error is uniform over a step, so its variance is step²/12, and white as long as the
+    signal moves by more than a step from sample to sample. Add it to the sensor's own by squares.
+    """
+    return step / math.sqrt(12.0 * rate_hz)
 
 
 class CanImuEncoder(ABC):
