@@ -37,6 +37,9 @@ class Endpoint(Protocol):
     datagrams: bool
     """Pieces are whole datagrams, not parts of a stream."""
 
+    def connected(self) -> bool:
+        """False only while a connection is being made; raises :class:`LinkLost` if refused."""
+
     def fileno(self) -> int:
         """Descriptor to wait on for reading."""
 
@@ -85,6 +88,9 @@ class _UdpIn:
                 self._hear(peer)
                 found.append(data)
         return found
+
+    def connected(self) -> bool:
+        return True
 
     def _hear(self, peer: tuple[Any, ...]) -> None:
         self._peers.pop(peer, None)
@@ -137,6 +143,9 @@ class _UdpOut:
                 found.append(data)
         return found
 
+    def connected(self) -> bool:
+        return True
+
     def write(self, data: bytes) -> bool:
         try:
             return self._socket.send(data) == len(data)
@@ -158,6 +167,9 @@ class _Stream:
 
     def fileno(self) -> int:
         raise NotImplementedError
+
+    def connected(self) -> bool:
+        return True
 
     def _receive(self) -> bytes:
         raise NotImplementedError
@@ -215,12 +227,11 @@ class _Tcp(_Stream):
         return self._socket.send(data)
 
     def read(self) -> list[bytes]:
-        if not self._connected():
+        if not self.connected():
             return []
         return super().read()
 
-    def _connected(self) -> bool:
-        """False while the connection is being made: reading then says "not connected"."""
+    def connected(self) -> bool:
         try:
             self._socket.getpeername()
         except OSError:
