@@ -112,6 +112,8 @@ class Engine:
 
         Malformed samples are counted and dropped, never raised.
         """
+        if len(samples) == 0:
+            return _NOTHING
         if isinstance(samples, ImuSamples):
             return self._step_imu(samples)
         if (

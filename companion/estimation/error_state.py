@@ -195,9 +195,11 @@ class ErrorStateFilter:
         ip = self._ipar
         n_rows = min(stop - i, span // int(ip[par.OUTPUT_NS]) + 2)
         m = aids.end - j
-        n_reports = 5 * m + 2 * (span // int(ip[par.STILL_NS]) + 2)
+        constraints = 2 * (span // int(ip[par.STILL_NS]) + 2)
         if ip[par.CONSTRAINT_NS]:
-            n_reports += span // int(ip[par.CONSTRAINT_NS]) + 2
+            constraints += span // int(ip[par.CONSTRAINT_NS]) + 2
+        # At most three a sample, however far apart their stamps are.
+        n_reports = 5 * m + min(constraints, 3 * (stop - i))
         n_steps = m + n_reports + span // int(ip[par.COVARIANCE_NS]) + 2
         bank = phase.mode is Mode.HEADING_UNKNOWN
         best = phase.checks[-1].best

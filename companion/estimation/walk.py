@@ -83,7 +83,8 @@ from companion.navigation.rotation import quat_to_matrix
 from companion.types import F64, I64
 
 # --- why a walk ended
-DONE, STOP_GAP, STOP_BROKEN, STOP_CHECK = 0, 1, 2, 3
+# Of several filters the highest counts: one that is broken must not take part in a decision.
+DONE, STOP_GAP, STOP_CHECK, STOP_BROKEN = 0, 1, 2, 3
 
 CHECK_NS = 500_000_000
 """Grid of the decisions above the kernel: heading found, relock, divergence."""
@@ -299,9 +300,12 @@ def fuse_constraints(
     return count
 
 
-@njit("void(f8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
-def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> None:
-    """Fill an output row; in feedforward mode from INS ⊞ error (``total`` is scratch)."""
+@njit("b1(f8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
+def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> bool:
+    """Fill an output row; in feedforward mode from INS ⊞ error (``total`` is scratch).
+
+    False where something in it is not finite or a variance is negative: not fit to be given out.
+    """
     for i in range(DX):
         total[i] = s[i]
     if ipar[FEEDFORWARD] == 1:
@@ -325,6 +329,14 @@ def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> None
         mode = 3
     row[O_MODE] = mode
     row[O_RESETS] = k[RESETS]
+    for i in range(O_MODE):
+        if not abs(row[i]) < 1e30:
+            return False
+    for block in range(5):
+        at = O_COV + 6 * block
+        if row[at] < 0.0 or row[at + 3] < 0.0 or row[at + 5] < 0.0:
+            return False
+    return True
 
 
 @njit("void(f8[::1], i8[::1], b1, f8[::1], f8[::1], i8, i8, f8[::1], f8[:, ::1])", cache=True)
@@ -454,16 +466,17 @@ def walk(
                     s, k, lay, par, ipar, t, C, H, W, reports_t, reports, n_reports, tape
                 )
         i += 1
+        cell = t // ipar[OUTPUT_NS]
+        if healthy and cell != k[T_OUTPUT]:
+            k[T_OUTPUT] = cell
+            rows_t[n_rows] = t
+            healthy = write_row(s, k, lay, ipar, total, rows[n_rows])
+            if healthy:
+                record_row(tape, s, lay)
+                n_rows += 1
         if not healthy:
             code = STOP_BROKEN
             break
-        cell = t // ipar[OUTPUT_NS]
-        if cell != k[T_OUTPUT]:
-            k[T_OUTPUT] = cell
-            rows_t[n_rows] = t
-            write_row(s, k, lay, ipar, total, rows[n_rows])
-            record_row(tape, s, lay)
-            n_rows += 1
         cell = t // ipar[SNAPSHOT_NS]
         if cell != k[T_SNAPSHOT]:
             k[T_SNAPSHOT] = cell
