@@ -1,0 +1,109 @@
+"""Filters and phases: what the estimator consists of at a time, and what it goes back to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.config import Config
+from companion.estimation import parameters as par
+from companion.estimation.recording import Recording, Tape
+from companion.navigation import layout as lo
+from companion.types import F64, I64, NS, Mode
+
+
+@dataclass(slots=True)
+class Filter:
+    """One error-state filter: state, its snapshots, and the state it began with."""
+
+    s: F64
+    k: I64
+    snaps: F64
+    snaps_k: I64
+    first: tuple[F64, I64]
+    tape: Tape | None = None
+    """What a smoother reads; only in a run without late aiding, which would have to rewind it."""
+
+    @classmethod
+    def start(cls, s: F64, k: I64, slots: int, tape: Tape | None = None) -> Filter:
+        if tape is not None:
+            tape.begin(s, k)
+        return cls(
+            s,
+            k,
+            np.zeros((slots, len(s))),
+            np.full((slots, len(k)), np.iinfo(np.int64).min),
+            (s.copy(), k.copy()),
+            tape,
+        )
+
+    def restore(self, before: int) -> None:
+        """Back to the newest snapshot older than ``before``, or to the beginning."""
+        times = self.snaps_k[:, lo.T_NOW]
+        good = np.flatnonzero(times < before)
+        slot = int(good[np.argmax(times[good])]) if len(good) else -1
+        if slot >= 0 and times[slot] > np.iinfo(np.int64).min:
+            self.s[:], self.k[:] = self.snaps[slot], self.snaps_k[slot]
+        else:
+            self.s[:], self.k[:] = self.first
+        self.snaps_k[times >= before] = np.iinfo(np.int64).min
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A decision on the grid and, in the bank, what it published from then on."""
+
+    t_ns: int
+    best: int = 0
+    """Likeliest hypothesis."""
+    heading_sd: float = 0.0
+    """Standard deviation of the heading over all hypotheses [rad]."""
+
+
+@dataclass(slots=True)
+class Phase:
+    """A stretch of time in one mode; ``filters`` is empty while aligning, several in the bank."""
+
+    start_ns: int
+    mode: Mode
+    filters: list[Filter] = field(default_factory=list)
+    prior: Filter | None = None
+    """The filter before a declared reset: its biases are still the best known."""
+    resets: int = 0
+    checks: list[Check] = field(default_factory=list)
+    """Decisions taken so far, newest last; the first is the start of the phase."""
+    reached: int = 0
+    """Aligning only: time of the last sample taken."""
+
+
+class Setup:
+    """A configuration as kernels and phases take it: layout, parameter vectors, snapshots."""
+
+    def __init__(self, config: Config, record: Recording = "no") -> None:
+        self.config = config
+        self.layout = par.layout(config)
+        self.lay = self.layout.vector()
+        self.par = par.parameter_vector(config)
+        self.ipar = par.integer_vector(config)
+        """Of a single filter."""
+        self.ipar_bank = self.ipar.copy()
+        """Of the filters of the bank over headings."""
+        self.ipar[par.BASE_MODE] = Mode.NAVIGATING
+        self.ipar_bank[par.BANK] = 1
+        self.ipar_bank[par.BASE_MODE] = Mode.HEADING_UNKNOWN
+        ring_ns = round(config.engine.delay_ring_s * NS)
+        self.slots = ring_ns // int(self.ipar[par.SNAPSHOT_NS]) + 3
+        self._record = record
+
+    def covariance(self, s: F64) -> F64:
+        """P (n, n) inside a float state, as a view."""
+        n = self.layout.n
+        return s[lo.P :].reshape(n, n)
+
+    def new_filter(self, s: F64, k: I64) -> Filter:
+        """A filter that begins at a state, with a tape of its own where the run is recorded."""
+        tape = None
+        if self._record != "no":
+            tape = Tape(self.layout.n, self._record == "covariance")
+        return Filter.start(s, k, self.slots, tape)
