@@ -12,13 +12,13 @@ import numpy as np
 
 from companion.config import Config
 from companion.engine import Engine
+from companion.selection import Thinner
 from companion.types import (
     NS,
     AidingSamples,
     AnySamples,
     ImuSamples,
     LogFormatError,
-    MagSamples,
     Outputs,
     VehicleRecording,
 )
@@ -49,16 +49,8 @@ def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples
         names = ", ".join(g.source for g in vehicle.gnss)
         raise LogFormatError(f"no GNSS stream '{config.gnss.source}' in the log; it has {names}")
     baro = vehicle.baro[:1] if config.baro.use else ()
-    mag = (thinned(m, config.mag.max_rate_hz) for m in vehicle.mag[:1] if config.mag.use)
+    mag = (Thinner(config.mag.max_rate_hz)(m) for m in vehicle.mag[:1] if config.mag.use)
     return [*gnss[:1], *baro, *mag]
-
-
-def thinned(samples: MagSamples, rate_hz: float) -> MagSamples:
-    """One sample per period: telemetry repeats a slow sensor's value at the rate of the message."""
-    cell = samples.t_ns // round(NS / rate_hz)
-    first = np.ones(len(cell), np.bool_)
-    first[1:] = cell[1:] != cell[:-1]
-    return samples.take(first)
 
 
 def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:

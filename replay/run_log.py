@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
 from companion.logbook import columns, messages, schemas
-from companion.logbook.columns import AnyColumns, Batch
+from companion.logbook.columns import Batch
 from companion.logbook.recovery import Condition, Topic, walk
 from companion.proto import run_pb2
 from companion.types import (
@@ -24,10 +24,12 @@ from companion.types import (
     LogFormatError,
     Recording,
     ReferenceSamples,
+    Samples,
     Solution,
     StreamInfo,
     VehicleRecording,
 )
+from replay.streams import stream_info
 
 _BATCHES: dict[str, tuple[str, Batch]] = {
     "input/imu": ("imu", columns.IMU),
@@ -166,7 +168,7 @@ def read_run(path: Path) -> Recording:
 def _vehicle(run: _Run, name: str) -> VehicleRecording:
     info = run.vehicle_info(name)
     order = [(s.kind, s.source) for s in info.order]
-    streams: dict[tuple[str, str], AnyColumns] = {}
+    streams: dict[tuple[str, str], Samples] = {}
     for topic, (kind, batch) in _BATCHES.items():
         by_source: dict[str, list[bytes]] = defaultdict(list)
         for payload in run.messages[name].get(topic, []):
@@ -178,6 +180,8 @@ def _vehicle(run: _Run, name: str) -> VehicleRecording:
             samples = _samples(run, batch, source, payloads)
             if samples is not None:
                 streams[kind, source] = samples
+    if info.live:
+        streams = _as_used(run, info, streams)
     known = [key for key in order if key in streams]
     keys = known + [key for key in streams if key not in known]
 
@@ -196,11 +200,32 @@ def _vehicle(run: _Run, name: str) -> VehicleRecording:
         streams=tuple(
             StreamInfo(s.source, _kind(s.kind), s.count, s.rate_hz, s.longest_gap_s, s.gaps, s.note)
             for s in info.streams
-        ),
+        )
+        or tuple(stream_info(streams[key], _kind(key[0])) for key in keys),
     )
 
 
-def _samples(run: _Run, batch: Batch, source: str, payloads: list[bytes]) -> AnyColumns | None:
+def _as_used(
+    run: _Run, info: run_pb2.VehicleInfo, streams: dict[tuple[str, str], Samples]
+) -> dict[tuple[str, str], Samples]:
+    """What a live process gave to its estimator, from the arrival on from which it did.
+
+    Other streams of a kind stay, for whoever names them; a kind of which the process used none
+    goes, or a replay would use what the run did not.
+    """
+    first = {(s.kind, s.source): s.first_seq for s in info.order}
+    kinds = {kind for kind, _ in first} | {"truth", "autopilot"}
+    for kind, source in streams:
+        if kind not in kinds:
+            run.notes.append(f"{info.name}: {source} ({kind}) was logged, not used")
+    return {
+        key: samples.take(samples.seq >= first[key]) if key in first else samples
+        for key, samples in streams.items()
+        if key[0] in kinds
+    }
+
+
+def _samples(run: _Run, batch: Batch, source: str, payloads: list[bytes]) -> Samples | None:
     """One stream's columns; batches that are none are left out with a note."""
     try:
         found = columns.decode(batch, payloads)
@@ -211,7 +236,7 @@ def _samples(run: _Run, batch: Batch, source: str, payloads: list[bytes]) -> Any
             return None
         found = columns.decode(batch, good)
     kind: Any = batch.type
-    samples: AnyColumns = kind(source=source, **found)
+    samples: Samples = kind(source=source, **found)
     return samples
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 if TYPE_CHECKING:
-    from companion.config import Config
+    from companion.config.section import Section
 
 
-def to_toml(config: Config) -> str:
+def to_toml(config: Section) -> str:
     """The configuration as TOML with every key spelled out; ``parse`` gives it back."""
     return "\n".join(_table("", msgspec.to_builtins(config))).lstrip("\n") + "\n"
 

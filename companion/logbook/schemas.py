@@ -35,6 +35,7 @@ MESSAGES: dict[str, Any] = {
         run_pb2.Config,
         run_pb2.Versions,
         run_pb2.VehicleInfo,
+        run_pb2.Checkpoint,
         run_pb2.Summary,
         LocationFix,
         Odometry,

@@ -24,6 +24,7 @@ from companion.logbook.columns import AnyColumns, Batch
 from companion.logbook.mcap_file import McapFile
 from companion.logbook.sink import LogWriteError, Sink
 from companion.proto import run_pb2, samples_pb2
+from companion.selection import Chosen
 from companion.types import (
     I64,
     NS,
@@ -144,6 +145,22 @@ class LogWriter:
         ]
         self._message(vehicle.name, "vehicle", info, min(starts, default=self._now_ns))
 
+    def choose(
+        self, vehicle: str, height_datum: Literal["hae", "msl"], chosen: Sequence[Chosen]
+    ) -> None:
+        """Write which streams a live process uses, each time that one more is chosen."""
+        info = run_pb2.VehicleInfo(name=vehicle, height_datum=height_datum, live=True)
+        for kind, source, first_seq in chosen:
+            info.order.add(kind=kind, source=source, first_seq=first_seq)
+        self._message(vehicle, "vehicle", info, self._now_ns)
+
+    def checkpoint(self, seq: int, digest: str, digest_published: str, vehicle: str) -> None:
+        """Write everything that arrived up to ``seq``, then the digests of what came of it."""
+        self._write_pending()
+        said = run_pb2.Checkpoint(seq=seq, digest=digest, digest_published=digest_published)
+        self._message(vehicle, "checkpoint", said, self._now_ns)
+        self._file.flush()
+
     def samples(self, block: AnySamples, vehicle: str) -> None:
         """Take a block of input samples of one stream, in order of arrival within it."""
         kind, _ = _INPUTS[type(block)]
@@ -157,7 +174,17 @@ class LogWriter:
         kind: Literal["truth", "autopilot"] = "truth",
     ) -> None:
         """Write rows of a reference solution, so that the run can be evaluated by itself."""
-        self._write_columns(vehicle, f"reference/{kind}", columns.REFERENCE, block.source, [block])
+        self.references([block], vehicle, kind)
+
+    def references(
+        self,
+        blocks: Sequence[ReferenceSamples],
+        vehicle: str,
+        kind: Literal["truth", "autopilot"] = "truth",
+    ) -> None:
+        """Write blocks of one reference as one."""
+        source = blocks[0].source
+        self._write_columns(vehicle, f"reference/{kind}", columns.REFERENCE, source, blocks)
 
     def outputs(self, out: Outputs, vehicle: str) -> None:
         """Take what one engine step gave out."""

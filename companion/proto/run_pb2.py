@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19\x63ompanion/proto/run.proto\x12\tcompanion\"\x16\n\x06\x43onfig\x12\x0c\n\x04toml\x18\x01 \x01(\t\"\x84\x01\n\x08Versions\x12\x12\n\nlog_format\x18\x01 \x01(\r\x12\x33\n\x08metadata\x18\x02 \x03(\x0b\x32!.companion.Versions.MetadataEntry\x1a/\n\rMetadataEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"y\n\x06Stream\x12\x0c\n\x04kind\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\r\n\x05\x63ount\x18\x03 \x01(\x03\x12\x0f\n\x07rate_hz\x18\x04 \x01(\x01\x12\x15\n\rlongest_gap_s\x18\x05 \x01(\x01\x12\x0c\n\x04gaps\x18\x06 \x01(\x03\x12\x0c\n\x04note\x18\x07 \x01(\t\"w\n\x0bVehicleInfo\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0cheight_datum\x18\x02 \x01(\t\x12 \n\x05order\x18\x03 \x03(\x0b\x32\x11.companion.Stream\x12\"\n\x07streams\x18\x04 \x03(\x0b\x32\x11.companion.Stream\"\x17\n\x07Summary\x12\x0c\n\x04json\x18\x01 \x01(\tb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19\x63ompanion/proto/run.proto\x12\tcompanion\"\x16\n\x06\x43onfig\x12\x0c\n\x04toml\x18\x01 \x01(\t\"\x84\x01\n\x08Versions\x12\x12\n\nlog_format\x18\x01 \x01(\r\x12\x33\n\x08metadata\x18\x02 \x03(\x0b\x32!.companion.Versions.MetadataEntry\x1a/\n\rMetadataEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\x8c\x01\n\x06Stream\x12\x0c\n\x04kind\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\r\n\x05\x63ount\x18\x03 \x01(\x03\x12\x0f\n\x07rate_hz\x18\x04 \x01(\x01\x12\x15\n\rlongest_gap_s\x18\x05 \x01(\x01\x12\x0c\n\x04gaps\x18\x06 \x01(\x03\x12\x0c\n\x04note\x18\x07 \x01(\t\x12\x11\n\tfirst_seq\x18\x08 \x01(\x10\"\x85\x01\n\x0bVehicleInfo\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0cheight_datum\x18\x02 \x01(\t\x12 \n\x05order\x18\x03 \x03(\x0b\x32\x11.companion.Stream\x12\"\n\x07streams\x18\x04 \x03(\x0b\x32\x11.companion.Stream\x12\x0c\n\x04live\x18\x05 \x01(\x08\"C\n\nCheckpoint\x12\x0b\n\x03seq\x18\x01 \x01(\x10\x12\x0e\n\x06\x64igest\x18\x02 \x01(\t\x12\x18\n\x10\x64igest_published\x18\x03 \x01(\t\"\x17\n\x07Summary\x12\x0c\n\x04json\x18\x01 \x01(\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -39,10 +39,12 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_VERSIONS']._serialized_end=197
   _globals['_VERSIONS_METADATAENTRY']._serialized_start=150
   _globals['_VERSIONS_METADATAENTRY']._serialized_end=197
-  _globals['_STREAM']._serialized_start=199
-  _globals['_STREAM']._serialized_end=320
-  _globals['_VEHICLEINFO']._serialized_start=322
-  _globals['_VEHICLEINFO']._serialized_end=441
-  _globals['_SUMMARY']._serialized_start=443
-  _globals['_SUMMARY']._serialized_end=466
+  _globals['_STREAM']._serialized_start=200
+  _globals['_STREAM']._serialized_end=340
+  _globals['_VEHICLEINFO']._serialized_start=343
+  _globals['_VEHICLEINFO']._serialized_end=476
+  _globals['_CHECKPOINT']._serialized_start=478
+  _globals['_CHECKPOINT']._serialized_end=545
+  _globals['_SUMMARY']._serialized_start=547
+  _globals['_SUMMARY']._serialized_end=570
 # @@protoc_insertion_point(module_scope)

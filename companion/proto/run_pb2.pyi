@@ -27,7 +27,7 @@ class Versions(_message.Message):
     def __init__(self, log_format: _Optional[int] = ..., metadata: _Optional[_Mapping[str, str]] = ...) -> None: ...
 
 class Stream(_message.Message):
-    __slots__ = ("kind", "source", "count", "rate_hz", "longest_gap_s", "gaps", "note")
+    __slots__ = ("kind", "source", "count", "rate_hz", "longest_gap_s", "gaps", "note", "first_seq")
     KIND_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FIELD_NUMBER: _ClassVar[int]
     COUNT_FIELD_NUMBER: _ClassVar[int]
@@ -35,6 +35,7 @@ class Stream(_message.Message):
     LONGEST_GAP_S_FIELD_NUMBER: _ClassVar[int]
     GAPS_FIELD_NUMBER: _ClassVar[int]
     NOTE_FIELD_NUMBER: _ClassVar[int]
+    FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     kind: str
     source: str
     count: int
@@ -42,19 +43,32 @@ class Stream(_message.Message):
     longest_gap_s: float
     gaps: int
     note: str
-    def __init__(self, kind: _Optional[str] = ..., source: _Optional[str] = ..., count: _Optional[int] = ..., rate_hz: _Optional[float] = ..., longest_gap_s: _Optional[float] = ..., gaps: _Optional[int] = ..., note: _Optional[str] = ...) -> None: ...
+    first_seq: int
+    def __init__(self, kind: _Optional[str] = ..., source: _Optional[str] = ..., count: _Optional[int] = ..., rate_hz: _Optional[float] = ..., longest_gap_s: _Optional[float] = ..., gaps: _Optional[int] = ..., note: _Optional[str] = ..., first_seq: _Optional[int] = ...) -> None: ...
 
 class VehicleInfo(_message.Message):
-    __slots__ = ("name", "height_datum", "order", "streams")
+    __slots__ = ("name", "height_datum", "order", "streams", "live")
     NAME_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_DATUM_FIELD_NUMBER: _ClassVar[int]
     ORDER_FIELD_NUMBER: _ClassVar[int]
     STREAMS_FIELD_NUMBER: _ClassVar[int]
+    LIVE_FIELD_NUMBER: _ClassVar[int]
     name: str
     height_datum: str
     order: _containers.RepeatedCompositeFieldContainer[Stream]
     streams: _containers.RepeatedCompositeFieldContainer[Stream]
-    def __init__(self, name: _Optional[str] = ..., height_datum: _Optional[str] = ..., order: _Optional[_Iterable[_Union[Stream, _Mapping[str, object]]]] = ..., streams: _Optional[_Iterable[_Union[Stream, _Mapping[str, object]]]] = ...) -> None: ...
+    live: bool
+    def __init__(self, name: _Optional[str] = ..., height_datum: _Optional[str] = ..., order: _Optional[_Iterable[_Union[Stream, _Mapping[str, object]]]] = ..., streams: _Optional[_Iterable[_Union[Stream, _Mapping[str, object]]]] = ..., live: bool = ...) -> None: ...
+
+class Checkpoint(_message.Message):
+    __slots__ = ("seq", "digest", "digest_published")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_PUBLISHED_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    digest: str
+    digest_published: str
+    def __init__(self, seq: _Optional[int] = ..., digest: _Optional[str] = ..., digest_published: _Optional[str] = ...) -> None: ...
 
 class Summary(_message.Message):
     __slots__ = ("json",)

@@ -7,6 +7,7 @@ short refusal costs nothing, and a long one costs a span of the log, never the p
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 import time
@@ -39,20 +40,25 @@ class BackgroundFile:
     def __init__(
         self, path: Path, *, queue_bytes: int = QUEUE_BYTES, retry_s: float = RETRY_S
     ) -> None:
-        """Open ``path``; :class:`LogWriteError` where that is not possible."""
+        """Open ``path``.
+
+        A full disk is tried again like any other refusal; :class:`LogWriteError` for the rest.
+        """
         self._path = path
         self._limit = queue_bytes
         self._retry_s = retry_s
+        self._fd, self._refused = -1, ""
         try:
-            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+            self._open()
         except OSError as error:
-            raise LogWriteError(f"{path}: cannot be opened: {error.strerror or error}") from None
+            self._refused = error.strerror or str(error)
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise LogWriteError(f"{path}: cannot be opened: {self._refused}") from None
         self._change = threading.Condition()
         self._queue: deque[_Piece] = deque()
         self._queued = self._end = self._written = self._left_out = 0
         self._busy = False
         self._holes: list[Hole] = []
-        self._refused = ""
         self._closing = False
         self._thread = threading.Thread(target=self._work, name="log", daemon=True)
         self._thread.start()
@@ -145,14 +151,21 @@ class BackgroundFile:
                 with suppress(OSError):
                     os.fdatasync(self._fd)
                 synced, dirty = time.monotonic(), False
-        with suppress(OSError):
-            os.fdatasync(self._fd)
-        os.close(self._fd)
+        if self._fd >= 0:
+            with suppress(OSError):
+                os.fdatasync(self._fd)
+            os.close(self._fd)
+
+    def _open(self) -> None:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
+        self._fd = os.open(self._path, flags, 0o644)
 
     def _write(self, piece: _Piece) -> bool:
         """Write the first piece of the queue, or cut back and wait before the next try."""
         view, done, refused = memoryview(piece.data), 0, ""
         try:
+            if self._fd < 0:
+                self._open()
             while done < len(piece.data):
                 done += os.write(self._fd, view[done:])
         except OSError as error:
@@ -171,6 +184,8 @@ class BackgroundFile:
 
     def _cut_back(self) -> None:
         """Leave the file at the end of its last whole piece."""
+        if self._fd < 0:
+            return
         with suppress(OSError):
             os.ftruncate(self._fd, self._written)
             os.lseek(self._fd, self._written, os.SEEK_SET)

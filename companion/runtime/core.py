@@ -1,0 +1,304 @@
+"""Everything between "these bytes arrived at that time" and "this came out". Pure.
+
+Each thing that arrives (CAN frame, MAVLink chunk, tick) gets the next number, is logged, decoded,
+and its samples step the engine. No clock and no socket: time is an argument. So a run on simulated
+time is a run, and the log of a run, replayed, gives the same bits again.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, Literal, NamedTuple, Protocol
+
+from companion.config import Config
+from companion.engine import Engine
+from companion.logbook import LogWriter
+from companion.runtime.clock import Reading
+from companion.runtime.health import HealthMonitor
+from companion.selection import KINDS, Kind, Selection
+from companion.types import (
+    NS,
+    AnySamples,
+    Event,
+    Health,
+    ImuSamples,
+    LinkState,
+    LogHealth,
+    LoopHealth,
+    Mode,
+    Outputs,
+    ReferenceSamples,
+    Solution,
+)
+
+CHECKPOINT_NS = 10 * NS
+"""Digests go into the log this often: a run that is killed can be checked up to there."""
+REFERENCE_NS = NS
+"""The autopilot's own solution is logged in blocks this long."""
+TICK_LINK = "tick"
+CAN_FRAME = struct.Struct("<IB3x")
+"""A logged CAN frame: identifier, length, then the data, as Linux lays out ``struct can_frame``."""
+EXTENDED = 0x8000_0000
+"""Flag of a 29-bit identifier in it."""
+CLOCKS = struct.Struct("<qq")
+"""A logged tick: wall clock and CLOCK_MONOTONIC [ns] at its time."""
+
+
+class CanArrival(NamedTuple):
+    """A CAN data frame with its arrival on the run's clock."""
+
+    t_rx_ns: int
+    can_id: int
+    extended: bool
+    data: bytes
+
+
+class Decoder(Protocol):
+    """What the core asks of a CAN IMU driver."""
+
+    source: str
+
+    @property
+    def counters(self) -> Any:
+        """Dataclass of counters; ``lost``, ``malformed`` and ``saturated`` among them."""
+
+    def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
+        """Take a frame; whether it was the unit's."""
+
+    def take(self) -> ImuSamples | None:
+        """Samples completed since the last call."""
+
+
+class Session(Protocol):
+    """What the core asks of the MAVLink driver."""
+
+    def feed(self, seq: int, t_rx_ns: int, data: bytes) -> None:
+        """Take bytes as they arrived."""
+
+    def tick(self, now_ns: int) -> None:
+        """Let time pass: heartbeats, requests, time-outs."""
+
+    def take(self) -> Sequence[AnySamples | ReferenceSamples]:
+        """Samples decoded since the last call, each stream's in order of arrival."""
+
+    def events(self) -> Sequence[Event]:
+        """What happened since the last call."""
+
+    @property
+    def height_datum(self) -> Literal["hae", "msl"]:
+        """What the heights of its fixes count from."""
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Of everything received; ``messages`` and ``malformed`` among them."""
+
+
+class Core:
+    """One vehicle: drivers, selection, engine, health and log, in order of arrival."""
+
+    def __init__(
+        self,
+        config: Config,
+        writer: LogWriter,
+        *,
+        start_ns: int,
+        decoders: Mapping[str, Sequence[Decoder]],
+        session: Session | None,
+        preferred: Mapping[Kind, Sequence[str]],
+        publish: Callable[[Outputs], None],
+        announce: Callable[[Event], None],
+    ) -> None:
+        """``decoders`` by CAN link; ``preferred`` as for :class:`Selection`.
+
+        ``publish`` gets what each engine step gave out, ``announce`` every other event.
+        """
+        self.config = config
+        self.vehicle = config.vehicle.name
+        self.engine = Engine(config)
+        self._writer = writer
+        self._decoders = decoders
+        self._session = session
+        units = [d.source for link in decoders.values() for d in link]
+        self.selection = Selection(config, imu=units[0] if units else "", preferred=preferred)
+        self.monitor = HealthMonitor(self.vehicle, config.live, start_ns)
+        for bus in config.can:
+            for unit in bus.imu:
+                self.monitor.expect("imu", unit.name, unit.rate_hz)
+        self._by_source = {d.source: d for link in decoders.values() for d in link}
+        self._publish = publish
+        self._announce = announce
+        self._raw = config.log.raw
+        self._seq = 0
+        self._now_ns = start_ns
+        self._last_rx: dict[str, int] = {}
+        self._checkpoint_ns = self._reference_ns = start_ns
+        self._references: list[ReferenceSamples] = []
+        self._chosen = 0
+        self._received = dict.fromkeys(decoders, 0)
+        self.last = Solution.empty()
+        """The newest epochs published together."""
+
+    # ------------------------------------------------------------------ arrivals
+
+    def can(self, link: str, frames: Sequence[CanArrival]) -> None:
+        """Frames of one bus, in their order."""
+        decoders = self._decoders[link]
+        self._received[link] += len(frames)
+        for t, can_id, extended, data in frames:
+            seq, now = self._next(link, t)
+            if self._raw:
+                head = CAN_FRAME.pack(can_id | EXTENDED if extended else can_id, len(data))
+                self._writer.raw(link, now, seq, head + data, self.vehicle)
+            for decoder in decoders:
+                if decoder.feed(seq, now, can_id, extended, data):
+                    break
+        for decoder in decoders:
+            samples = decoder.take()
+            if samples is not None:
+                self._take(samples)
+
+    def mavlink(self, link: str, t_rx_ns: int, data: bytes) -> None:
+        """A datagram, or a piece of a stream."""
+        if self._session is None:
+            return
+        seq, now = self._next(link, t_rx_ns)
+        if self._raw:
+            self._writer.raw(link, now, seq, data, self.vehicle)
+        self._session.feed(seq, now, data)
+        self._drain_session(self._session)
+
+    def tick(self, now: Reading) -> None:
+        """Time passes: an arrival like any other."""
+        seq, t = self._next(TICK_LINK, now.run)
+        clocks = CLOCKS.pack(now.wall, now.monotonic)
+        self._writer.raw(TICK_LINK, t, seq, clocks, self.vehicle)
+        if self._session is not None:
+            self._session.tick(t)
+            self._drain_session(self._session)
+        for event in self.monitor.tick(t):
+            self.event(event)
+        if t - self._reference_ns >= REFERENCE_NS:
+            self._reference_ns = t
+            self._write_references()
+        if t - self._checkpoint_ns >= CHECKPOINT_NS:
+            self._checkpoint_ns = t
+            self.checkpoint()
+
+    def link(self, name: str, state: LinkState, note: str, t_ns: int) -> None:
+        """A link was opened, was lost or could not be opened."""
+        event = self.monitor.link(name, state, note, t_ns)
+        if event is not None:
+            self.event(event)
+
+    def event(self, event: Event) -> None:
+        """Log and announce something that is not of the engine."""
+        self._writer.event(event, self.vehicle)
+        self._announce(event)
+
+    def _next(self, link: str, t_rx_ns: int) -> tuple[int, int]:
+        """Number and time of an arrival; on one link time never goes back."""
+        self._seq += 1
+        at = max(t_rx_ns, self._last_rx.get(link, t_rx_ns))
+        self._last_rx[link] = self._now_ns = at
+        return self._seq, at
+
+    # ------------------------------------------------------------------ samples
+
+    def _drain_session(self, session: Session) -> None:
+        taken = session.take()
+        # All of a chunk have one number; a replay puts aids before the inertial samples.
+        for block in taken:
+            if isinstance(block, ReferenceSamples):
+                self._references.append(block)
+            elif not isinstance(block, ImuSamples):
+                self._take(block)
+        for block in taken:
+            if isinstance(block, ImuSamples):
+                self._take(block)
+        for event in session.events():
+            self.event(event)
+
+    def _take(self, samples: AnySamples) -> None:
+        """Log samples, then let the engine have what is chosen of them."""
+        self._writer.samples(samples, self.vehicle)
+        kind = KINDS[type(samples)]
+        self.monitor.arrived(kind, samples.source, len(samples), int(samples.t_rx_ns[-1]))
+        fed = self.selection.offer(samples)
+        if len(self.selection.chosen) != self._chosen:
+            self._note_choice()
+        if fed is not None:
+            self._give_out(self.engine.step(fed))
+
+    def _give_out(self, out: Outputs) -> None:
+        if len(out.published):
+            self.last = out.published
+        # People are served before the log is.
+        self._publish(out)
+        self._writer.outputs(out, self.vehicle)
+
+    def _note_choice(self) -> None:
+        """Say in the log which streams the engine gets, so that a replay takes the same."""
+        for kind, source, _ in self.selection.chosen[self._chosen :]:
+            text = f"{source} is the {kind} input of the estimator"
+            self.event(Event(self._now_ns, f"{kind}-chosen", text))
+        self._chosen = len(self.selection.chosen)
+        datum = self._session.height_datum if self._session is not None else "hae"
+        self._writer.choose(self.vehicle, datum, self.selection.chosen)
+
+    def _write_references(self) -> None:
+        if self._references:
+            self._writer.references(self._references, self.vehicle, "autopilot")
+            self._references = []
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def mode(self) -> Mode:
+        """Of the newest published epoch."""
+        return Mode(int(self.last.mode[-1])) if len(self.last) else Mode.ALIGNING
+
+    def health(self, t_ns: int, loop: LoopHealth, log: LogHealth) -> Health:
+        """The state of everything now."""
+        for link, received in self._received.items():
+            malformed = sum(d.counters.malformed for d in self._decoders[link])
+            self.monitor.traffic(link, received, malformed)
+        return self.monitor.report(
+            t_ns, self.mode, self.selection.uses, self._driver_counts, loop, log, self.counters()
+        )
+
+    def counters(self) -> dict[str, int]:
+        """Everything that is counted, by a stable name."""
+        engine = self.engine.counters
+        out = {
+            f"engine.{name}": getattr(engine, name)
+            for name in engine.__slots__
+            if name != "refused"
+        }
+        out |= {f"engine.refused.{name}": count for name, count in engine.refused.items()}
+        for source, decoder in self._by_source.items():
+            out |= {f"{source}.{name}": n for name, n in asdict(decoder.counters).items()}
+        if self._session is not None:
+            out |= {f"mavlink.{name}": n for name, n in self._session.counters.items()}
+        return out
+
+    def _driver_counts(self, source: str) -> tuple[int, int]:
+        decoder = self._by_source.get(source)
+        return (decoder.counters.lost, decoder.counters.saturated) if decoder else (0, 0)
+
+    def checkpoint(self) -> None:
+        """Log the digests of what the engine has given out so far."""
+        engine = self.engine
+        self._writer.checkpoint(self._seq, engine.digest, engine.digest_published, self.vehicle)
+
+    def finish(self) -> dict[str, Any]:
+        """End the run: settle the engine; what the log is closed with."""
+        self._give_out(self.engine.finish())
+        self._write_references()
+        return {
+            "digest": self.engine.digest,
+            "digest_published": self.engine.digest_published,
+            "counters": self.counters(),
+            "inputs": [c._asdict() for c in self.selection.chosen],
+        }

@@ -1,0 +1,144 @@
+"""Which streams feed the engine: one rule, live and replayed.
+
+The engine takes one inertial unit and the best sensor of each other kind; everything else that
+arrives is only logged. Live the choice is made while the streams come up, from what they have shown
+so far, and is kept for the run. The log says from which arrival on each was used, so that a replay
+feeds the same samples.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from companion.config import Config
+from companion.types import NS, AnySamples, BaroSamples, GnssSamples, ImuSamples, MagSamples
+
+Kind = Literal["imu", "gnss", "baro", "mag"]
+KINDS: dict[type, Kind] = {
+    ImuSamples: "imu",
+    GnssSamples: "gnss",
+    BaroSamples: "baro",
+    MagSamples: "mag",
+}
+
+USABLE_IMU_HZ = 20.0
+"""Slower is no input of a strapdown filter."""
+TRIAL_NS = 2 * NS
+"""For how long the streams of a kind are compared before one is taken."""
+
+
+class Chosen(NamedTuple):
+    """A stream that feeds the engine, from an arrival number on."""
+
+    kind: Kind
+    source: str
+    first_seq: int
+
+
+class Thinner:
+    """One magnetometer sample per period, whatever the blocks in which they come.
+
+    Telemetry repeats a slow sensor's value at the rate of the message.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_ns = round(NS / rate_hz)
+        self._last: int | None = None
+
+    def __call__(self, samples: MagSamples) -> MagSamples:
+        """The first of each period that has not begun before."""
+        if not len(samples):
+            return samples
+        cell = samples.t_ns // self._period_ns
+        first = np.ones(len(cell), np.bool_)
+        first[0] = cell[0] != self._last
+        first[1:] = cell[1:] != cell[:-1]
+        self._last = int(cell[-1])
+        return samples.take(first)
+
+
+class Selection:
+    """Chooses streams as they arrive, and passes on what the engine is to get. Pure."""
+
+    def __init__(
+        self, config: Config, *, imu: str = "", preferred: Mapping[Kind, Sequence[str]]
+    ) -> None:
+        """``imu``: the inertial stream that is configured, if one is; it is used whatever comes.
+
+        ``preferred``: names of streams that may come, best first; others count after them, in the
+        order in which they are heard. A source that the configuration names is used at once.
+        """
+        named = {"imu": config.imu.source, "gnss": config.gnss.source}
+        self._named: dict[str, str] = {k: v for k, v in named.items() if v != "auto"}
+        if imu:
+            self._named.setdefault("imu", imu)
+        self._ignored = {
+            kind for kind, use in (("baro", config.baro.use), ("mag", config.mag.use)) if not use
+        }
+        self._preferred = preferred
+        self._trials: dict[Kind, _Trial] = {}
+        self._source: dict[Kind, str] = {}
+        self._thin = Thinner(config.mag.max_rate_hz)
+        self.chosen: list[Chosen] = []
+
+    def uses(self, kind: Kind, source: str) -> bool:
+        """Whether this stream feeds the engine."""
+        return self._source.get(kind) == source
+
+    def offer(self, samples: AnySamples) -> AnySamples | None:
+        """What the engine gets of these samples: all, some, or None."""
+        kind = KINDS[type(samples)]
+        source = self._source.get(kind)
+        if source is None:
+            if kind in self._ignored or not len(samples) or not self._passes(kind, samples):
+                return None
+            self._source[kind] = samples.source
+            self.chosen.append(Chosen(kind, samples.source, int(samples.seq[0])))
+        elif source != samples.source:
+            return None
+        if isinstance(samples, MagSamples):
+            samples = self._thin(samples)
+        return samples if len(samples) else None
+
+    def _passes(self, kind: Kind, samples: AnySamples) -> bool:
+        """Whether this stream is the one to use from these samples on."""
+        if kind in self._named:
+            return self._named[kind] == samples.source
+        trial = self._trials.setdefault(kind, _Trial(self._preferred.get(kind, ())))
+        return trial.best(samples) == samples.source
+
+
+class _Trial:
+    """Compares the streams of one kind for a while."""
+
+    def __init__(self, preferred: Sequence[str]) -> None:
+        self._preferred = preferred
+        self._recent: dict[str, deque[int]] = {}
+        self._began: int | None = None
+
+    def best(self, samples: AnySamples) -> str | None:
+        """The stream to use, once the trial is over and one is good enough."""
+        good = samples.t_rx_ns
+        if isinstance(samples, GnssSamples):
+            good = good[samples.fix_type >= 2]
+        recent = self._recent.setdefault(samples.source, deque())
+        recent.extend(good.tolist())
+        now = int(samples.t_rx_ns[-1])
+        if self._began is None and len(good):
+            self._began = int(good[0])
+        if self._began is None or now - self._began < TRIAL_NS:
+            return None
+        for times in self._recent.values():
+            while times and times[0] <= now - TRIAL_NS:
+                times.popleft()
+        enough = USABLE_IMU_HZ * TRIAL_NS / NS if isinstance(samples, ImuSamples) else 1
+        names = [name for name, times in self._recent.items() if len(times) >= enough]
+        return min(names, key=self._rank, default=None)
+
+    def _rank(self, source: str) -> int:
+        names = self._preferred
+        return names.index(source) if source in names else len(names)
