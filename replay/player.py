@@ -6,14 +6,16 @@ stream's sample must come in between for the published solution to be what a use
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from companion.config import Config
-from companion.engine import Engine
+from companion.engine import CLOCK_BACK_NS, Engine
 from companion.selection import Thinner
 from companion.types import (
+    I64,
     NS,
     AidingSamples,
     AnySamples,
@@ -57,7 +59,8 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
     """Blocks in order of arrival.
 
     An aiding sample that arrives before the IMU has reached its time of validity may be handed over
-    at any moment up to then; only one that arrives behind it must come exactly at its place.
+    at any moment up to then; only one that arrives behind it must come exactly at its place. None
+    may come before a restart of the IMU's clock that it arrived after: that forgets what waits.
     """
     imu = choose_imu(vehicle, config)
     streams = choose_aids(vehicle, config)
@@ -67,7 +70,8 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
         "BaroSamples": round(config.baro.latency_ms * 1e6),
         "MagSamples": round(config.mag.latency_ms * 1e6),
     }
-    peak = np.maximum.accumulate(imu.t_ns) - imu_latency if len(imu) else imu.t_ns
+    peak, restarts = _reached(imu.t_ns)
+    peak = peak - imu_latency
     # Where each aid falls among the IMU samples, and whether it is late there.
     queue: list[tuple[int, int, int, bool]] = []
     for index, stream in enumerate(streams):
@@ -85,6 +89,11 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
     sent = 0
     pending: list[tuple[int, int]] = []
     for (_, index, m, behind), place in zip(queue, places.tolist(), strict=True):
+        while restarts and restarts[0] < place:
+            yield from _aids(streams, pending)
+            stop = restarts.popleft() + 1
+            yield imu.take(slice(sent, stop))
+            sent = stop
         while place - sent > block or (behind and place > sent):
             yield from _aids(streams, pending)
             stop = min(place, sent + block)
@@ -98,6 +107,24 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
         yield imu.take(slice(sent, sent + block))
         sent += block
     yield from _aids(streams, pending)
+
+
+def _reached(t: I64) -> tuple[I64, deque[int]]:
+    """The latest time so far at each sample, and where the clock began anew, as the engine sees it.
+
+    Non-finite samples, which it drops, count here: that only makes a block end where it need not.
+    """
+    peak = np.maximum.accumulate(t)
+    restarts: deque[int] = deque()
+    if np.any(peak[:-1] - t[1:] > CLOCK_BACK_NS):
+        latest = int(t[0])
+        for at, now in enumerate(t.tolist()):
+            if latest - now > CLOCK_BACK_NS:
+                restarts.append(at)
+                latest = now
+            latest = max(latest, now)
+            peak[at] = latest
+    return peak, restarts
 
 
 def _aids(streams: list[AidingSamples], pending: list[tuple[int, int]]) -> Iterator[AidingSamples]:

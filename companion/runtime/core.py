@@ -38,6 +38,7 @@ CHECKPOINT_NS = 10 * NS
 REFERENCE_NS = NS
 """The autopilot's own solution is logged in blocks this long."""
 TICK_LINK = "tick"
+MAVLINK_LINK = "mavlink"
 CAN_FRAME = struct.Struct("<IB3x")
 """A logged CAN frame: identifier, length, then the data, as Linux lays out ``struct can_frame``."""
 EXTENDED = 0x8000_0000
@@ -80,19 +81,22 @@ class Session(Protocol):
     def tick(self, now_ns: int) -> None:
         """Let time pass: heartbeats, requests, time-outs."""
 
-    def take(self) -> Sequence[AnySamples | ReferenceSamples]:
-        """Samples decoded since the last call, each stream's in order of arrival."""
+    def take(self) -> Sequence[AnySamples]:
+        """Samples decoded since the last call, aids before inertial ones."""
+
+    def references(self) -> Sequence[ReferenceSamples]:
+        """The autopilot's own solution since the last call."""
 
     def events(self) -> Sequence[Event]:
         """What happened since the last call."""
 
     @property
-    def height_datum(self) -> Literal["hae", "msl"]:
-        """What the heights of its fixes count from."""
+    def height_datum(self) -> Literal["hae", "msl"] | None:
+        """What the heights of its fixes count from; None before the first one has decided it."""
 
     @property
-    def counters(self) -> Mapping[str, int]:
-        """Of everything received; ``messages`` and ``malformed`` among them."""
+    def counters(self) -> Any:
+        """Dataclass of counters; ``pieces`` and ``bad_crc`` among them."""
 
 
 class Core:
@@ -136,6 +140,7 @@ class Core:
         self._checkpoint_ns = self._reference_ns = start_ns
         self._references: list[ReferenceSamples] = []
         self._chosen = 0
+        self._datum: Literal["hae", "msl"] | None = None
         self._received = dict.fromkeys(decoders, 0)
         self.last = Solution.empty()
         """The newest epochs published together."""
@@ -159,13 +164,13 @@ class Core:
             if samples is not None:
                 self._take(samples)
 
-    def mavlink(self, link: str, t_rx_ns: int, data: bytes) -> None:
+    def mavlink(self, t_rx_ns: int, data: bytes) -> None:
         """A datagram, or a piece of a stream."""
         if self._session is None:
             return
-        seq, now = self._next(link, t_rx_ns)
+        seq, now = self._next(MAVLINK_LINK, t_rx_ns)
         if self._raw:
-            self._writer.raw(link, now, seq, data, self.vehicle)
+            self._writer.raw(MAVLINK_LINK, now, seq, data, self.vehicle)
         self._session.feed(seq, now, data)
         self._drain_session(self._session)
 
@@ -207,18 +212,16 @@ class Core:
     # ------------------------------------------------------------------ samples
 
     def _drain_session(self, session: Session) -> None:
-        taken = session.take()
-        # All of a chunk have one number; a replay puts aids before the inertial samples.
-        for block in taken:
-            if isinstance(block, ReferenceSamples):
-                self._references.append(block)
-            elif not isinstance(block, ImuSamples):
-                self._take(block)
-        for block in taken:
-            if isinstance(block, ImuSamples):
-                self._take(block)
+        # All that came with one piece have one number: the order of the kinds is the session's, and
+        # that of a replay.
+        for samples in session.take():
+            self._take(samples)
+        self._references += session.references()
         for event in session.events():
             self.event(event)
+        if session.height_datum != self._datum:
+            self._datum = session.height_datum
+            self._note_choice()
 
     def _take(self, samples: AnySamples) -> None:
         """Log samples, then let the engine have what is chosen of them."""
@@ -244,13 +247,15 @@ class Core:
             text = f"{source} is the {kind} input of the estimator"
             self.event(Event(self._now_ns, f"{kind}-chosen", text))
         self._chosen = len(self.selection.chosen)
-        datum = self._session.height_datum if self._session is not None else "hae"
-        self._writer.choose(self.vehicle, datum, self.selection.chosen)
+        self._writer.choose(self.vehicle, self._datum or "hae", self.selection.chosen)
 
     def _write_references(self) -> None:
-        if self._references:
-            self._writer.references(self._references, self.vehicle, "autopilot")
-            self._references = []
+        by_source: dict[str, list[ReferenceSamples]] = {}
+        for block in self._references:
+            by_source.setdefault(block.source, []).append(block)
+        self._references = []
+        for blocks in by_source.values():
+            self._writer.references(blocks, self.vehicle, "autopilot")
 
     # ------------------------------------------------------------------ state
 
@@ -264,6 +269,9 @@ class Core:
         for link, received in self._received.items():
             malformed = sum(d.counters.malformed for d in self._decoders[link])
             self.monitor.traffic(link, received, malformed)
+        if self._session is not None:
+            counters = self._session.counters
+            self.monitor.traffic(MAVLINK_LINK, counters.frames, counters.bad_crc)
         return self.monitor.report(
             t_ns, self.mode, self.selection.uses, self._driver_counts, loop, log, self.counters()
         )
@@ -280,7 +288,7 @@ class Core:
         for source, decoder in self._by_source.items():
             out |= {f"{source}.{name}": n for name, n in asdict(decoder.counters).items()}
         if self._session is not None:
-            out |= {f"mavlink.{name}": n for name, n in self._session.counters.items()}
+            out |= {f"mavlink.{name}": n for name, n in asdict(self._session.counters).items()}
         return out
 
     def _driver_counts(self, source: str) -> tuple[int, int]:

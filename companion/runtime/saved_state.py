@@ -29,8 +29,8 @@ from companion.types import (
 Row = tuple[float, float, float]
 
 STALE_NS = 24 * 3600 * NS
-"""After a day saved biases say no more than the datasheet's turn-on deviation: the unit was switched
-off, cooled and warmed. Before, their variance grows in proportion to their age."""
+"""After a day saved biases say no more than the datasheet's turn-on deviation: the unit was
+switched off, cooled and warmed. Before, their variance grows in proportion to their age."""
 LEARNED = 0.5
 """Biases are kept once their deviation is below this share of the turn-on deviation."""
 
@@ -39,12 +39,12 @@ class StateError(CompanionError):
     """A state file that cannot be used; the run starts without it."""
 
 
-class SavedBiases(Section):
+class SavedBiases(Section, frozen=True):
     """What is kept; the file has these keys."""
 
     source: str
     """Inertial unit that they belong to."""
-    axes: tuple[Row, Row, Row]
+    axes: tuple[tuple[float, ...], ...]
     """``imu.axes`` that they were found with: biases are kept in body axes."""
     saved_ns: int
     """UTC [ns]."""
