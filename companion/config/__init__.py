@@ -213,7 +213,7 @@ def parse(text: str, origin: str = "configuration") -> Config:
 
 
 def load(path: Path) -> Config:
-    """Typed configuration from a TOML file; DBC files it names are looked for beside it."""
+    """Typed configuration from a TOML file; files that it names are looked for beside it."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -222,7 +222,7 @@ def load(path: Path) -> Config:
 
 
 def _beside(config: Config, folder: Path) -> Config:
-    """The same configuration with the paths of DBC files relative to ``folder`` resolved."""
+    """The same configuration with paths relative to ``folder`` resolved."""
     replace = msgspec.structs.replace
     buses = []
     for bus in config.can:
@@ -231,4 +231,7 @@ def _beside(config: Config, folder: Path) -> Config:
             for imu in bus.imu
         ]
         buses.append(replace(bus, imu=tuple(units)))
-    return replace(config, can=tuple(buses))
+    zenoh = config.zenoh
+    if zenoh.config_file:
+        zenoh = replace(zenoh, config_file=str(folder / zenoh.config_file))
+    return replace(config, can=tuple(buses), zenoh=zenoh)

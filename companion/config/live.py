@@ -123,6 +123,8 @@ class ToAutopilot(Section):
     rate_hz: float = 20.0
     gps_id: int = 1
     """Receiver number that GPS_INPUT stands for."""
+    max_sd_m: float = 20.0
+    """Horizontal 1σ beyond which the solution is no help: withheld, or sent as no fix."""
 
 
 class Log(Section):

@@ -124,6 +124,7 @@ def _to_autopilot(feed: ToAutopilot, link: Mavlink) -> None:
     # Measured against ArduPilot: positions at 2-3 Hz let its estimate run away by tens of metres.
     why = "; autopilots drop slower and faster feeds"
     within("to_autopilot.rate_hz", feed.rate_hz, 4.0, 50.0, "Hz", why)
+    within("to_autopilot.max_sd_m", feed.max_sd_m, 0.1, 1000.0, "m")
     within("to_autopilot.gps_id", feed.gps_id, 0, 3, "receiver number")
 
 

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -55,20 +54,20 @@ class _Declared:
 class ZenohPublisher:
     """Publishes one vehicle; see :class:`companion.outputs.publisher.Publisher`."""
 
-    def __init__(self, settings: Zenoh, vehicle: str, directory: Path | None = None) -> None:
+    def __init__(self, settings: Zenoh, vehicle: str) -> None:
         """Begin to open a session; nothing waits for it.
 
         Raises :class:`companion.types.ConfigError` for settings that can never work. A port that is
         taken or a router that is absent is a notice, and tried again.
         """
-        session_settings(settings, directory)
+        session_settings(settings)
         self._vehicle = vehicle
         self._state_pacer = Pacer(settings.state_rate_hz)
         self._drawn_slot = _NEVER
         self._origin: tuple[float, float, float] | None = None
         self._latest: dict[str, bytes] = {}
         self._unsent: deque[bytes] = deque(maxlen=EVENTS_CACHED)
-        self.link = ZenohLink(lambda: session_settings(settings, directory), self._declare)
+        self.link = ZenohLink(lambda: session_settings(settings), self._declare)
 
     # ------------------------------------------------------------------ Publisher
 

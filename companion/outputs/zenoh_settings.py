@@ -35,12 +35,11 @@ _NEEDED = {
 }
 
 
-def session_settings(settings: Zenoh, directory: Path | None = None) -> zenoh.Config:
+def session_settings(settings: Zenoh) -> zenoh.Config:
     """Configuration of the publisher's session.
 
     Without ``config_file``: a peer on the endpoints of ``listen`` and ``connect``, without
-    scouting. With it, the file decides everything; a relative path is relative to ``directory``.
-    Raises :class:`ConfigError` for a file that zenoh does not take or keys that contradict it.
+    scouting. With it, the file decides everything. Raises :class:`ConfigError` for a file that zenoh does not take or keys that contradict it.
     """
     if not settings.config_file:
         return peer_settings(settings.listen, settings.connect)
@@ -49,7 +48,7 @@ def session_settings(settings: Zenoh, directory: Path | None = None) -> zenoh.Co
             "zenoh.connect: is not used beside zenoh.config_file; write the endpoints into that "
             "file, under connect.endpoints"
         )
-    return file_settings((directory or Path()) / settings.config_file)
+    return file_settings(Path(settings.config_file))
 
 
 def peer_settings(listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:

@@ -66,16 +66,18 @@ class LinkHealth(_message.Message):
     def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[LinkHealth.State, str]] = ..., received: _Optional[int] = ..., malformed: _Optional[int] = ..., reopened: _Optional[int] = ..., note: _Optional[str] = ...) -> None: ...
 
 class LoopHealth(_message.Message):
-    __slots__ = ("load", "latency_p50_ms", "latency_p99_ms", "latency_max_ms")
+    __slots__ = ("load", "latency_p50_ms", "latency_p99_ms", "latency_max_ms", "stall_ms")
     LOAD_FIELD_NUMBER: _ClassVar[int]
     LATENCY_P50_MS_FIELD_NUMBER: _ClassVar[int]
     LATENCY_P99_MS_FIELD_NUMBER: _ClassVar[int]
     LATENCY_MAX_MS_FIELD_NUMBER: _ClassVar[int]
+    STALL_MS_FIELD_NUMBER: _ClassVar[int]
     load: float
     latency_p50_ms: float
     latency_p99_ms: float
     latency_max_ms: float
-    def __init__(self, load: _Optional[float] = ..., latency_p50_ms: _Optional[float] = ..., latency_p99_ms: _Optional[float] = ..., latency_max_ms: _Optional[float] = ...) -> None: ...
+    stall_ms: float
+    def __init__(self, load: _Optional[float] = ..., latency_p50_ms: _Optional[float] = ..., latency_p99_ms: _Optional[float] = ..., latency_max_ms: _Optional[float] = ..., stall_ms: _Optional[float] = ...) -> None: ...
 
 class LogHealth(_message.Message):
     __slots__ = ("state", "path", "written_bytes", "queued_bytes", "dropped_bytes")

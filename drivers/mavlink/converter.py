@@ -200,6 +200,11 @@ class Converter:
             self.height_datum = "hae" if np.isfinite(geoid) else "msl"
             self._geoid_m = geoid if np.isfinite(geoid) else 0.0
 
+    @property
+    def undulation_m(self) -> float | None:
+        """Height above mean sea level of the datum [m]; None before the first fix."""
+        return self._geoid_m if self.height_datum is not None else None
+
     # ------------------------------------------------------------------ the autopilot's solution
 
     def _position(self, table: Table, seq: int, rx_ns: int) -> None:

@@ -39,6 +39,7 @@ _OUTGOING = 256
 _HEARTBEAT = message_id("HEARTBEAT")
 _TIMESYNC = message_id("TIMESYNC")
 _COMMAND_ACK = message_id("COMMAND_ACK")
+_ORIGIN = message_id("GPS_GLOBAL_ORIGIN")
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +126,7 @@ class MavlinkSession:
         self._beat_ns: int | None = None
         self._out: deque[bytes] = deque(maxlen=_OUTGOING)
         self._events: list[Event] = []
+        self._origin: tuple[int, int, int] | None = None
 
     # ------------------------------------------------------------------ in
 
@@ -225,6 +227,9 @@ class MavlinkSession:
                 self._timesync(t_rx_ns, decode(buf, index, msgid, these))
             elif msgid == _COMMAND_ACK:
                 self._acknowledged(t_rx_ns, decode(buf, index, msgid, these))
+            elif msgid == _ORIGIN:
+                told = decode(buf, index, msgid, these)[-1]
+                self._origin = tuple(int(told[n]) for n in ("latitude", "longitude", "altitude"))
             elif msgid != _HEARTBEAT:
                 name = message_name(msgid)
                 self.rates.count(name, len(these))
@@ -247,6 +252,7 @@ class MavlinkSession:
     def _restarted(self, now_ns: int) -> None:
         self._converter.restart()
         self.rates.restart()
+        self._origin = None
         self._say(
             now_ns,
             "autopilot-restarted",
@@ -328,6 +334,21 @@ class MavlinkSession:
         self, now_ns: int, kind: str, text: str, level: Literal["info", "warning"] = "info"
     ) -> None:
         self._events.append(Event(now_ns, kind, text, level))
+
+    @property
+    def system(self) -> int:
+        """System id of the vehicle; 0 before it is heard."""
+        return self._vehicle[0] if self._vehicle is not None else 0
+
+    @property
+    def origin(self) -> tuple[int, int, int] | None:
+        """Its GPS_GLOBAL_ORIGIN since it started: 1e-7 degrees twice, mm above mean sea level."""
+        return self._origin
+
+    @property
+    def undulation_m(self) -> float | None:
+        """The run's datum of heights above mean sea level [m]; None before a fix has decided it."""
+        return self._converter.undulation_m
 
     @property
     def height_datum(self) -> Literal["hae", "msl"] | None:

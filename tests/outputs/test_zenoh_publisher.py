@@ -58,7 +58,7 @@ HEALTH = Health(
     "GNSS silent",
     (SensorHealth("imu", "can0", "ok", True, 200.0, 0.004, 2500, lost=3),),
     (LinkHealth("can0", "up", 2500, malformed=1, reopened=2, note=""),),
-    LoopHealth(0.2, 0.3, 0.9, 4.0),
+    LoopHealth(0.2, 0.3, 0.9, 4.0, 6.0),
     LogHealth("writing", "run.mcap", 1000, 20, 0),
     {"engine.late_fused": 4},
 )
@@ -336,10 +336,10 @@ def test_killed_router_blocks_nothing_and_what_was_missed_comes_after(
     ],
 )
 def test_settings_that_cannot_work_are_refused(
-    settings: dict[str, Any], words: str, tmp_path: Path
+    settings: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(ConfigError, match=re.escape(words)):
-        ZenohPublisher(Zenoh(**settings), "v1", tmp_path)
+        ZenohPublisher(Zenoh(**settings), "v1")
 
 
 @pytest.mark.parametrize(
@@ -353,7 +353,7 @@ def test_settings_that_cannot_work_are_refused(
 def test_bad_zenoh_file_is_refused_in_one_line(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "z.json5").write_text(text)
     with pytest.raises(ConfigError) as raised:
-        ZenohPublisher(Zenoh(config_file="z.json5"), "v1", tmp_path)
+        ZenohPublisher(Zenoh(config_file=str(tmp_path / "z.json5")), "v1")
     assert words in str(raised.value)
     assert "z.json5" in str(raised.value)
     assert "\n" not in str(raised.value)
@@ -364,7 +364,7 @@ def test_a_file_decides_everything(tmp_path: Path, endpoint: str) -> None:
             "scouting": {"multicast": {"enabled": False}}}  # fmt: skip
     (tmp_path / "z.json5").write_text(json.dumps(file))
     # The default of `listen` is not used.
-    with closing(ZenohPublisher(Zenoh(config_file="z.json5"), "v1", tmp_path)) as publisher:
+    with closing(ZenohPublisher(Zenoh(config_file=str(tmp_path / "z.json5")), "v1")) as publisher:
         assert publisher.link.wait_open(PATIENCE_S)
         publisher.event(Event(T0, "a", "one"))
         with client(endpoint) as session:
