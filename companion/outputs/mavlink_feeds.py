@@ -141,8 +141,8 @@ class AutopilotFeed:
     """Our solution for the autopilot's estimator; see :mod:`companion.outputs.mavlink_autopilot`.
 
     For ODOMETRY the autopilot needs an origin: ours, the first position that can be trusted, is
-    repeated every second until the autopilot tells its own. If that is another (it had one already), positions
-    count from there on, and the reset counter goes up.
+    repeated every second until the autopilot tells its own. If that is another (it had one
+    already), positions count from there on, and the reset counter goes up.
     """
 
     def __init__(self, settings: ToAutopilot, link: AutopilotLink) -> None:

@@ -39,7 +39,8 @@ def session_settings(settings: Zenoh) -> zenoh.Config:
     """Configuration of the publisher's session.
 
     Without ``config_file``: a peer on the endpoints of ``listen`` and ``connect``, without
-    scouting. With it, the file decides everything. Raises :class:`ConfigError` for a file that zenoh does not take or keys that contradict it.
+    scouting. With it, the file decides everything. Raises :class:`ConfigError` for a file that
+    zenoh does not take or keys that contradict it.
     """
     if not settings.config_file:
         return peer_settings(settings.listen, settings.connect)

@@ -229,7 +229,7 @@ class MavlinkSession:
                 self._acknowledged(t_rx_ns, decode(buf, index, msgid, these))
             elif msgid == _ORIGIN:
                 told = decode(buf, index, msgid, these)[-1]
-                self._origin = tuple(int(told[n]) for n in ("latitude", "longitude", "altitude"))
+                self._origin = int(told["latitude"]), int(told["longitude"]), int(told["altitude"])
             elif msgid != _HEARTBEAT:
                 name = message_name(msgid)
                 self.rates.count(name, len(these))

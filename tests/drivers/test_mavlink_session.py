@@ -192,3 +192,18 @@ def test_the_autopilots_timesync_is_answered_with_the_run_clock() -> None:
     ((ts1, tc1),) = flight.autopilot.answers
     assert ts1 == 123_456_789
     assert 0 <= tc1 - asked_ns < NS // 10
+
+
+def test_the_autopilots_origin_is_kept_until_it_restarts() -> None:
+    flight = air()
+    flight.run(6.0)
+    session = flight.session
+    assert session.system == 1
+    assert session.undulation_m == pytest.approx(47.5)
+    assert session.origin is None
+    told = mavlink.MAVLink_gps_global_origin_message(473_970_000, 85_450_000, 488_120)
+    session.feed(10**9, flight.now_ns, Packer(1, 1).pack(told))
+    assert session.origin == (473_970_000, 85_450_000, 488_120)
+    flight.autopilot.reboot(flight.now_ns)
+    flight.run(6.0)
+    assert session.origin is None

@@ -335,9 +335,7 @@ def test_killed_router_blocks_nothing_and_what_was_missed_comes_after(
         ({"config_file": "z.json5", "connect": ("tcp/1.2.3.4:1",)}, "zenoh.connect: is not used"),
     ],
 )
-def test_settings_that_cannot_work_are_refused(
-    settings: dict[str, Any], words: str
-) -> None:
+def test_settings_that_cannot_work_are_refused(settings: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(words)):
         ZenohPublisher(Zenoh(**settings), "v1")
 
