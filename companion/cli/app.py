@@ -224,6 +224,31 @@ def simulate(
     _emit_if(as_json, simulate_scenario(console, scenario, output, seed))
 
 
+@app.command(no_args_is_help=True)
+def check(
+    config: Annotated[
+        Path, typer.Argument(metavar="CONFIG", help="Configuration of a live vehicle (TOML).")
+    ],
+    seconds: Annotated[
+        float, typer.Option("--for", min=1.0, metavar="SECONDS", help="How long to listen.")
+    ] = 8.0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Open each link of a configuration, say what is heard at what rate, and what is missing.
+
+    Rates Hz, noise densities deg/s/√Hz and m/s²/√Hz. Exit 0: it can navigate; 1: it cannot.
+
+    Example: companion check configs/multirotor.toml --for 10
+    """
+    console = _console(as_json)
+    from companion.cli.check import check_config
+
+    result = check_config(console, config, seconds)
+    _emit_if(as_json, result)
+    if not result["ok"]:
+        raise typer.Exit(1)
+
+
 @app.command()
 def bench(
     only: Annotated[

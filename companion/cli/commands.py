@@ -182,7 +182,7 @@ def _solve(
 
 def _recording(console: Console, logs: Sequence[Path], vehicle_name: str | None) -> Recording:
     if all(path.exists() for path in logs):
-        _compile_kernels()
+        compile_kernels()
     from replay.reader import read_log
 
     with present.notice_if_slow(console, "Reading …"):
@@ -238,7 +238,7 @@ def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any
     except EvaluationError as error:
         why_none = str(error)
     wall_s = max(result.wall_s, 1e-9)
-    return _plain(
+    return plain(
         {
             **msgspec.structs.asdict(summary),
             "config": result.chosen.origin,
@@ -253,13 +253,13 @@ def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any
     )
 
 
-def _plain(value: Any) -> dict[str, Any]:
+def plain(value: Any) -> dict[str, Any]:
     """As it will be in JSON: plain types, and None for what is not a number."""
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(value))
     return plain
 
 
-def _compile_kernels() -> None:
+def compile_kernels() -> None:
     """On a machine that never did, compile every kernel now, visibly; afterwards cost nothing."""
     from replay import kernels
 
@@ -275,7 +275,7 @@ def _compile_kernels() -> None:
 
 def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) -> dict[str, Any]:
     """Simulate, and write sensor folder, telemetry log and truth into one directory."""
-    _compile_kernels()
+    compile_kernels()
     with present.notice_if_slow(console, _LOADING):
         from replay.simulator import load_scenario
         from replay.simulator.flight import write_flight
@@ -303,7 +303,7 @@ def run_bench(
     config_path: Path | None,
 ) -> dict[str, Any]:
     """Measure speed, memory and start-up on this machine."""
-    _compile_kernels()
+    compile_kernels()
     with present.notice_if_slow(console, _LOADING):
         from replay import bench
     with present.progress(console, "Measuring") as update:
