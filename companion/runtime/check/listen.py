@@ -71,7 +71,6 @@ class _Listener:
 
     def __init__(self, config: Config, directory: Path) -> None:
         self._config = config
-        self._directory = directory
         self._buses = [_Bus(bus, can_decoders(bus, directory)) for bus in config.can]
         mavlink = config.mavlink
         self._session = mavlink_session(mavlink, directory) if mavlink.endpoint else None
@@ -86,7 +85,7 @@ class _Listener:
     def listen(self, seconds: float, progress: Callable[[float], None]) -> Heard:
         try:
             self._open()
-            zenoh = _zenoh(self._config.zenoh, self._directory)
+            zenoh = _zenoh(self._config.zenoh)
             self._loop(seconds, progress)
             return self._heard(seconds, zenoh)
         finally:
@@ -250,7 +249,7 @@ def _reason(error: CompanionError, name: str) -> str:
     return str(error).removeprefix(f"{name}: ").removeprefix("endpoint ")
 
 
-def _zenoh(settings: Zenoh, directory: Path) -> OutputHeard | None:
+def _zenoh(settings: Zenoh) -> OutputHeard | None:
     """Whether the session opens as the publisher would open it; None where it is off."""
     if not settings.enabled:
         return None
@@ -261,7 +260,7 @@ def _zenoh(settings: Zenoh, directory: Path) -> OutputHeard | None:
     where = settings.config_file or ", ".join((*settings.listen, *settings.connect))
     name = f"zenoh {where}"
     try:
-        with zenoh.open(session_settings(settings, directory)):
+        with zenoh.open(session_settings(settings)):
             return OutputHeard(name, note="opens")
     except ConfigError as error:
         return OutputHeard(name, str(error), "see the keys of [zenoh]")
