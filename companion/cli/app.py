@@ -141,6 +141,42 @@ def replay(
 
 
 @app.command(no_args_is_help=True)
+def run(
+    config: Annotated[
+        Path,
+        typer.Argument(metavar="CONFIG", help="Configuration (TOML) with [[can]] or [mavlink]."),
+    ],
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--for",
+            min=0,
+            metavar="SECONDS",
+            help="End after this long; without it at Ctrl-C or SIGTERM.",
+        ),
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RUN.mcap",
+            help="Run log; without it a new one in log.directory, with the date.",
+        ),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Navigate live: sensors in, solution out over zenoh, everything logged.
+
+    Latencies are ms, times seconds. Ctrl-C and SIGTERM end it cleanly; a second one at once.
+
+    Example: companion run configs/multirotor-dronecan.toml --for 60 --log flight.run.mcap
+    """
+    console = _console(as_json)
+    from companion.cli.run import run_live
+
+    _emit_if(as_json, run_live(console, config, seconds, log))
+
+
+@app.command(no_args_is_help=True)
 def evaluate(
     run: Annotated[
         Path, typer.Argument(metavar="RUN", help="A run log, or any log: it is replayed first.")

@@ -21,6 +21,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from companion.logbook import columns, messages, schemas
 from companion.logbook.columns import AnyColumns, Batch
+from companion.logbook.health import encode_health
 from companion.logbook.mcap_file import McapFile
 from companion.logbook.sink import LogWriteError, Sink
 from companion.proto import run_pb2, samples_pb2
@@ -33,6 +34,7 @@ from companion.types import (
     BaroSamples,
     Event,
     GnssSamples,
+    Health,
     ImuSamples,
     MagSamples,
     Outputs,
@@ -212,6 +214,11 @@ class LogWriter:
             name=event.kind,
         )
         self._message(vehicle, "events", log, event.t_ns)
+
+    def health(self, health: Health, vehicle: str) -> None:
+        """Write the state of the process."""
+        channel = self._channel(vehicle, "health", "companion.Health", np.array([health.t_ns]))
+        self._file.message(channel, health.t_ns, encode_health(health))
 
     def raw(self, link: str, t_rx_ns: int, seq: int, frame: bytes, vehicle: str) -> None:
         """Take one frame as it arrived on ``link``, before anything is decoded."""

@@ -135,7 +135,8 @@ class Core:
         self._announce = announce
         self._raw = config.log.raw
         self._seq = 0
-        self._now_ns = start_ns
+        self.now_ns = start_ns
+        """Time of the latest arrival."""
         self._last_rx: dict[str, int] = {}
         self._checkpoint_ns = self._reference_ns = start_ns
         self._references: list[ReferenceSamples] = []
@@ -206,7 +207,7 @@ class Core:
         """Number and time of an arrival; on one link time never goes back."""
         self._seq += 1
         at = max(t_rx_ns, self._last_rx.get(link, t_rx_ns))
-        self._last_rx[link] = self._now_ns = at
+        self._last_rx[link] = self.now_ns = at
         return self._seq, at
 
     # ------------------------------------------------------------------ samples
@@ -245,9 +246,13 @@ class Core:
         """Say in the log which streams the engine gets, so that a replay takes the same."""
         for kind, source, _ in self.selection.chosen[self._chosen :]:
             text = f"{source} is the {kind} input of the estimator"
-            self.event(Event(self._now_ns, f"{kind}-chosen", text))
+            self.event(Event(self.now_ns, f"{kind}-chosen", text))
         self._chosen = len(self.selection.chosen)
         self._writer.choose(self.vehicle, self._datum or "hae", self.selection.chosen)
+
+    def log_health(self, health: Health) -> None:
+        """Put a report into the log."""
+        self._writer.health(health, self.vehicle)
 
     def _write_references(self) -> None:
         by_source: dict[str, list[ReferenceSamples]] = {}
@@ -264,11 +269,14 @@ class Core:
         """Of the newest published epoch."""
         return Mode(int(self.last.mode[-1])) if len(self.last) else Mode.ALIGNING
 
-    def health(self, t_ns: int, loop: LoopHealth, log: LogHealth) -> Health:
-        """The state of everything now."""
+    def health(
+        self, t_ns: int, loop: LoopHealth, log: LogHealth, malformed: Mapping[str, int]
+    ) -> Health:
+        """The state of everything now; ``malformed``: what adapters sent that was no frame."""
         for link, received in self._received.items():
-            malformed = sum(d.counters.malformed for d in self._decoders[link])
-            self.monitor.traffic(link, received, malformed)
+            bad = malformed.get(link, 0)
+            bad += sum(d.counters.malformed for d in self._decoders[link])
+            self.monitor.traffic(link, received, bad)
         if self._session is not None:
             counters = self._session.counters
             self.monitor.traffic(MAVLINK_LINK, counters.frames, counters.bad_crc)
