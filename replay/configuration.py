@@ -13,10 +13,14 @@ from companion.types import Recording
 _DEFAULT_LATENCY_MS = {
     # ArduPilot streams samples behind its 20 Hz filter, and a fix when it has arrived.
     "tlog": (10.0, 100.0),
+    # The same fixes beside an IMU on CAN, whose samples are stamped when they are valid.
+    "tlog+can": (0.0, 100.0),
     # On board the stamp of a u-blox fix is its arrival: 210-230 ms late by ArduPilot's measurement.
     "dataflash": (10.0, 200.0),
+    "dataflash+can": (0.0, 200.0),
     # PX4 logs integrals before its filters; 110 ms is its own default for EKF2_GPS_DELAY.
     "ulog": (0.0, 110.0),
+    "ulog+can": (0.0, 110.0),
 }
 """IMU and GNSS latency [ms] by format of the log; other formats stamp validity."""
 

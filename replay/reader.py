@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from companion.config import CanBus
 from companion.types import (
     CompanionError,
     ImuTooSlowError,
@@ -15,7 +16,10 @@ from companion.types import (
 )
 from replay.streams import rate_hz
 
-READABLE = "a .tlog, DataFlash .BIN, PX4 .ulg, our own .mcap, or a sensor folder with imu.csv"
+READABLE = (
+    "a .tlog, DataFlash .BIN, PX4 .ulg, our own .mcap, a candump .log or .log.gz, "
+    "or a sensor folder with imu.csv"
+)
 
 _MAGIC = (
     (b"\x89MCAP", "mcap"),
@@ -33,6 +37,10 @@ _SUFFIXES = {
     ".bin": "dataflash",
     ".ulg": "ulog",
     ".mcap": "mcap",
+    ".asc": "candump",
+    ".blf": "candump",
+    ".mf4": "candump",
+    ".trc": "candump",
     ".mat": "a MATLAB file",
     ".csv": "a bare CSV file; give the sensor folder that holds it",
     ".zip": "a zip archive; unpack it first",
@@ -44,15 +52,23 @@ _SUFFIXES = {
     ".json": "a JSON file",
     ".md": "a text file",
 }
+_HEAD = 2048
+_CANDUMP = (b"(", b"\x1f\x8b")
+"""How a candump log begins, plain or packed."""
 _FORMATS = ("tlog", "dataflash", "ulog", "mcap")
 
 
 def _kind(path: Path) -> str:
     """Name of the format, or words for what the file looks like."""
     with path.open("rb") as file:
-        head = file.read(16)
+        head = file.read(_HEAD)
     if not head:
         return "an empty file"
+    if head.startswith(_CANDUMP):
+        from replay.candump import looks_like_candump
+
+        if looks_like_candump(head):
+            return "candump"
     for magic, kind in _MAGIC:
         if head.startswith(magic):
             return kind
@@ -65,7 +81,7 @@ def _kind(path: Path) -> str:
     return "an unknown format"
 
 
-def _read(path: Path) -> Recording:
+def _read(path: Path, can: Sequence[CanBus]) -> Recording:
     """One path of any readable format. The readers are imported when needed: start-up counts."""
     if path.is_dir():
         from replay.sensor_folder import read_folder
@@ -88,11 +104,17 @@ def _read(path: Path) -> Recording:
         from replay.run_log import read_run
 
         return read_run(path)
+    if kind == "candump":
+        from replay.can_recording import read_can
+
+        return read_can(path, can)
     raise LogFormatError(f"{path}: {kind}; readable is {READABLE}")
 
 
 def _merge(recordings: Sequence[Recording]) -> Recording:
     """Several files of one run as one recording; their vehicles must have different names."""
+    if len(recordings) == 1:
+        return recordings[0]
     owner: dict[str, str] = {}
     for recording in recordings:
         for vehicle in recording.vehicles:
@@ -115,31 +137,45 @@ def _merge(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def read_log(paths: Sequence[Path], *, vehicle: str | None = None) -> Recording:
+def read_log(
+    paths: Sequence[Path], *, vehicle: str | None = None, can: Sequence[CanBus] = ()
+) -> Recording:
     """Read one run from one or more paths.
 
-    ``vehicle``: keep only the vehicle of this name. Raises :class:`LogFormatError` with one line
-    if a path cannot be read, is of no readable format, or lacks that vehicle.
+    Recorded CAN traffic beside another log becomes IMUs of that log's vehicle. ``vehicle``: keep
+    only the vehicle of this name. ``can``: the configuration's buses, for units that a recording
+    does not tell by itself. Raises :class:`LogFormatError` with one line if a path cannot be read,
+    is of no readable format, or lacks that vehicle.
     """
     if not paths:
         raise LogFormatError(f"no log given; readable is {READABLE}")
     recordings = []
     for path in paths:
         try:
-            recordings.append(_read(Path(path)))
+            recordings.append(_read(Path(path), can))
         except CompanionError:
             raise
         except (OSError, MemoryError) as error:
             reason = getattr(error, "strerror", None) or "too large for this machine's memory"
             raise LogFormatError(f"{path}: cannot be read: {reason}") from None
-    merged = recordings[0] if len(recordings) == 1 else _merge(recordings)
+    inertial = [r for r in recordings if r.format == "candump"]
+    others = [r for r in recordings if r.format != "candump"]
+    if not (inertial and others):
+        return _only(_merge(recordings), vehicle)
+    from replay.joining import join_inertial
+
+    return join_inertial(_only(_merge(others), vehicle), inertial)
+
+
+def _only(recording: Recording, vehicle: str | None) -> Recording:
+    """The recording, or what it has of one vehicle."""
     if vehicle is None:
-        return merged
-    chosen = tuple(v for v in merged.vehicles if v.name == vehicle)
+        return recording
+    chosen = tuple(v for v in recording.vehicles if v.name == vehicle)
     if not chosen:
-        names = ", ".join(v.name for v in merged.vehicles) or "none"
-        raise LogFormatError(f"{merged.path}: no vehicle '{vehicle}'; there is {names}")
-    return replace(merged, vehicles=chosen)
+        names = ", ".join(v.name for v in recording.vehicles) or "none"
+        raise LogFormatError(f"{recording.path}: no vehicle '{vehicle}'; there is {names}")
+    return replace(recording, vehicles=chosen)
 
 
 def require_imu_rate(vehicle: VehicleRecording, minimum_hz: float = 20.0) -> None:

@@ -105,7 +105,7 @@ def replay(
         typer.Argument(
             metavar="LOG…",
             help="MAVLink .tlog, ArduPilot .BIN, PX4 .ulg, a run log (.mcap) or a sensor folder; "
-            "several belong to one run.",
+            "several belong to one run: a candump .log(.gz) beside a .tlog is its CAN IMU.",
         ),
     ],
     config: ConfigPath = None,
@@ -248,7 +248,7 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="Seed of every random number.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Make a flight with truth: .tlog, sensor folder and truth.csv.
+    """Make a flight with truth: .tlog, CAN log (candump), sensor folder and truth.csv.
 
     The same scenario and seed give the same files. Units in scenario files: SI, see their keys.
 

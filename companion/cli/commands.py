@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from companion import present
-from companion.config import Config
+from companion.config import CanBus, Config, load
 from companion.types import (
     AidingReports,
     CompanionError,
@@ -180,13 +180,15 @@ def _solve(
     )
 
 
-def _recording(console: Console, logs: Sequence[Path], vehicle_name: str | None) -> Recording:
+def _recording(
+    console: Console, logs: Sequence[Path], vehicle_name: str | None, can: Sequence[CanBus] = ()
+) -> Recording:
     if all(path.exists() for path in logs):
         compile_kernels()
     from replay.reader import read_log
 
     with present.notice_if_slow(console, "Reading …"):
-        recording = read_log(logs, vehicle=vehicle_name)
+        recording = read_log(logs, vehicle=vehicle_name, can=can)
     for note in recording.notes:
         console.print(f"Note      {escape(note)}")
     return recording
@@ -197,7 +199,9 @@ def _read(
 ) -> tuple[Recording, ChosenConfig]:
     from replay.configuration import choose_config
 
-    recording = _recording(console, logs, vehicle_name)
+    # The units of a CAN recording may be known from the configuration only.
+    can = load(config_path).can if config_path is not None else ()
+    recording = _recording(console, logs, vehicle_name, can)
     return recording, choose_config(recording, config_path)
 
 

@@ -39,6 +39,10 @@ class DbcDecoder(CanImuDecoder):
         self._have = 0
         self._first_rx = 0
 
+    def wants(self, can_id: int, extended: bool) -> bool:
+        """The messages with mapped signals."""
+        return (can_id, extended) in self._messages
+
     def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
         """One frame; see :meth:`CanImuDecoder.feed`."""
         message = self._messages.get((can_id, extended))

@@ -90,6 +90,10 @@ class CanImuDecoder(ABC):
         self._values: list[tuple[float, ...]] = []
 
     @abstractmethod
+    def wants(self, can_id: int, extended: bool) -> bool:
+        """Whether frames of this identifier can be this unit's: to route traffic beforehand."""
+
+    @abstractmethod
     def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
         """Take one data frame; whether it was one of this unit's.
 

@@ -66,6 +66,12 @@ class DroneCanDecoder(CanImuDecoder):
         self._number = Counter(5, unit.rate_hz)
         self._validity = _Validity()
 
+    def wants(self, can_id: int, extended: bool) -> bool:
+        """RawIMU messages of the node, or of any."""
+        node = can_id & 0x7F
+        ours = node == self.node_id if self.node_id else node > 0
+        return extended and can_id & _TYPE_MASK == _TYPE and ours
+
     def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
         """One frame; see :meth:`CanImuDecoder.feed`."""
         if not extended or can_id & _TYPE_MASK != _TYPE:

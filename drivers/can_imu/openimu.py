@@ -46,6 +46,11 @@ class OpenImuDecoder(GroupedDecoder):
         super().__init__(unit, _FULL_SCALE)
         self.node_id = node_id
 
+    def wants(self, can_id: int, extended: bool) -> bool:
+        """Angular rate and acceleration of the address, or of any."""
+        ours = not self.node_id or can_id & 0xFF == self.node_id
+        return extended and can_id & _PGN_MASK in (_ARI, _ACCS) and ours
+
     def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
         """One frame; see :meth:`CanImuDecoder.feed`."""
         pgn = can_id & _PGN_MASK

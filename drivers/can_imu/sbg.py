@@ -32,6 +32,10 @@ class SbgDecoder(GroupedDecoder):
     def __init__(self, unit: Unit) -> None:
         super().__init__(unit, _FULL_SCALE, clock=Unwrapped(32, 1000))
 
+    def wants(self, can_id: int, extended: bool) -> bool:
+        """The three messages of the IMU."""
+        return not extended and IMU_INFO <= can_id <= IMU_GYRO
+
     def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
         """One frame; see :meth:`CanImuDecoder.feed`."""
         if not IMU_INFO <= can_id <= IMU_GYRO or extended:

@@ -55,6 +55,10 @@ class XsensDecoder(GroupedDecoder):
         )
         self._high_rate = False
 
+    def wants(self, can_id: int, extended: bool) -> bool:
+        """Time, counter and inertial messages of both rates."""
+        return not extended and can_id in _LENGTH
+
     def feed(self, seq: int, t_rx_ns: int, can_id: int, extended: bool, data: bytes) -> bool:
         """One frame; see :meth:`CanImuDecoder.feed`."""
         length = _LENGTH.get(can_id)

@@ -1,4 +1,4 @@
-"""A simulated flight on disk: sensor folder, tlog and truth in one directory."""
+"""A simulated flight on disk: sensor folder, tlog, CAN log and truth in one directory."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from companion.config import to_toml
 from companion.types import VehicleRecording
 from replay.sensor_folder_writer import write_folder
+from replay.simulator.can_log import write_can_log
 from replay.simulator.matching import matching_config
 from replay.simulator.scenarios import Scenario
 from replay.simulator.simulation import simulate
@@ -17,11 +18,13 @@ def write_flight(scenario: Scenario, seed: int, directory: Path) -> VehicleRecor
     """Simulate into ``directory`` (made if absent) and return the recording.
 
     Files: the sensor folder (``imu.csv`` …, ``truth.csv``, ``vehicle.toml`` with the matching
-    configuration) and ``flight.tlog``. Raises :class:`CompanionError` for a scenario that cannot
-    be simulated or a file that cannot be written.
+    configuration), ``flight.tlog`` and ``imu.log`` (the IMUs on a CAN bus, as candump). Raises
+    :class:`CompanionError` for a scenario that cannot be simulated and a file that cannot be
+    written.
     """
     recording = simulate(scenario, seed)
     config = matching_config(scenario)
     write_folder(recording, directory, to_toml(config))
     write_tlog(recording, directory / "flight.tlog", config.vehicle.kind)
+    write_can_log(recording, directory / "imu.log")
     return recording
