@@ -298,7 +298,7 @@ class TestJoining:
         alone = type(vehicle)(name="v", imu=(imu,))
         moved, drift_s = on_arrival_clock(alone)
         assert drift_s == pytest.approx(0.030, abs=0.002)
-        # Least sum of a delay (exponential, 3 ms, 200 a second) and the drift since its window began:
+        # Least sum of a delay (exponential, 3 ms, 200 a second) and the drift in a window so far:
         # √(2 · 300 ppm · 3 ms / 200 Hz) is 95 µs. Three times that for the largest of 25 windows.
         assert np.abs(moved.imu[0].t_ns - true.t_ns).max() < 3 * 95_000
 
