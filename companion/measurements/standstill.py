@@ -5,12 +5,17 @@ window agree, the spread inside each is no more than what was seen at rest befor
 GNSS velocity says otherwise. The spread at rest is learned while GNSS itself says that there is no
 motion: an engine at idle or a rotor on the ground sets its own measure, and a smooth cruise, which
 means alone cannot tell from rest, shows more of it. Nothing learned and no GNSS: never standing.
+
+A smooth pull-away passes all of that: its acceleration is constant within a window. So the force at
+which the vehicle came to stand is kept, and a window that departs from it is motion, until it is
+back, or something else shows that the vehicle has been elsewhere since.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from companion.navigation.layout import (
@@ -23,6 +28,7 @@ from companion.navigation.layout import (
     L_N,
     LAT,
     STANDING,
+    STILL_ANCHOR,
     STILL_CELL,
     STILL_COUNT,
     STILL_LEARNED,
@@ -45,12 +51,48 @@ FLOOR_ACCEL = 1e-4
 """Variances that quantisation alone gives a quiet sensor: (0.05 °/s)², (0.01 m/s²)²."""
 
 
+ANCHOR_SHARE = 0.25
+"""Departure from the force kept that counts as motion, over the allowed spread; 3σ of white noise
+of the window's mean come on top."""
+ANCHOR_QUARTERS = 40.0
+"""Quarters over which the force kept follows the mean (bias drift, a tyre that gives way), and for
+which GNSS has to see no speed before another force is taken for rest."""
+
+
+@njit("b1(f8[::1], f8, b1)", cache=True)
+def _at_anchor(s: F64, tolerance: float, fresh: bool) -> bool:
+    """Whether the window's mean force is the one kept from standing; keeps it up to date."""
+    count = STILL_SUB * max(s[STILL_SUM], 1.0)
+    mean = np.zeros(3)
+    near = True
+    for i in range(3):
+        variance = 0.0
+        for b in range(STILL_SUB):
+            mean[i] += s[STILL_RING + 12 * b + 3 + i] / STILL_SUB
+            variance += s[STILL_RING + 12 * b + 9 + i] / STILL_SUB
+        limit = tolerance + 3.0 * math.sqrt(variance / count)
+        near = near and abs(mean[i] - s[STILL_ANCHOR + 1 + i]) <= limit
+    state = s[STILL_ANCHOR]
+    if state == 0.0 or (state < -ANCHOR_QUARTERS and fresh):
+        for i in range(3):
+            s[STILL_ANCHOR + 1 + i] = mean[i]
+    elif near:
+        for i in range(3):
+            s[STILL_ANCHOR + 1 + i] += (mean[i] - s[STILL_ANCHOR + 1 + i]) / ANCHOR_QUARTERS
+    else:
+        s[STILL_ANCHOR] = min(state, 0.0) - 1.0
+        return False
+    s[STILL_ANCHOR] = 1.0
+    return True
+
+
 @njit("i8(f8[::1], i8[::1], i8, f8, f8, f8)", cache=True)
 def _decide(s: F64, k: I64, t: int, gyro: float, accel: float, speed: float) -> int:
     if k[STILL_COUNT] < STILL_SUB:
         return 0
     fresh = t - k[T_GNSS_SPEED] < FRESH_NS and k[T_GNSS_SPEED] > 0
     if fresh and s[GNSS_SPEED] > speed + 2.0 * s[GNSS_SPEED_SD]:
+        s[STILL_ANCHOR] = 0.0
         return 0
     learned = s[STILL_LEARNED] > 0.0
     if not learned and not fresh:
@@ -63,10 +105,13 @@ def _decide(s: F64, k: I64, t: int, gyro: float, accel: float, speed: float) -> 
             low, high = min(low, mean), max(high, mean)
             variance = max(variance, s[STILL_RING + 12 * b + 6 + i])
         if high - low > (gyro if i < 3 else accel):
+            s[STILL_ANCHOR] = 0.0
             return 0
         floor = FLOOR_GYRO if i < 3 else FLOOR_ACCEL
         if learned and variance > SPREAD_RATIO * s[STILL_LEARNED + 1 + i] + floor:
             return 0
+    if not _at_anchor(s, ANCHOR_SHARE * accel, fresh):
+        return 0
     if fresh:
         # A running mean over about ten quarters; GNSS vouches for each of them.
         weight = min(s[STILL_LEARNED] + 1.0, 10.0)
