@@ -1,11 +1,11 @@
-"""The autopilot's clock against ours by TIMESYNC: round trips, the fastest of them, a line.
+"""The autopilot's clock against ours by TIMESYNC: the shortest ways there and back, a line.
 
-    offset = (ts1 + now) / 2 − tc1      ts1, now: our clock at both ends; tc1: theirs in between
+    there_i = tc1 − ts1 = −offset + delay      back_i = now − tc1 = offset + delay
 
-The error of one exchange is half the difference between the way there and the way back, which
-queueing makes many milliseconds at times; among many exchanges the fastest have it small on both
-ways. Their offsets give a line over time, offset and drift, by least squares with the drift held
-near zero as far as crystals have it. Protocol: mavlink.io/en/services/timesync.html.
+(ts1, now: our clock at both ends; tc1: theirs in between.) Queueing makes a delay many milliseconds
+at times, and not the same both ways; but it never is below the shortest, so the lower edges of both
+series have the offset between them, whatever lies above. Only a difference of the *shortest* delays
+remains, which no exchange can tell from an offset. Protocol: mavlink.io/en/services/timesync.html.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
 from companion.types import NS
 
-WINDOW_NS = 30 * NS
-_FASTEST = 0.15
-"""Share of the round trips in the window that is used."""
+WINDOW_NS = 60 * NS
 _AT_LEAST = 6
 _FLOOR_NS = 20_000.0
-"""Deviation of one exchange below which no claim is made: stamps and scheduling."""
-_DRIFT_SD = 100e-6
-"""Prior of the drift: crystals are within 50 ppm each, and warm up."""
+"""Deviation below which no claim is made: stamps and scheduling."""
+_DRIFT_SD = 50e-6
+"""Prior of the drift: what two crystals differ by."""
+_DRIFTS = np.arange(-100, 101) * 2e-6
+"""Drifts that are tried."""
 _BURST_NS, _BURST_STEP_NS = 3 * NS // 2, NS // 20
 _STEP_NS = NS // 4
 """Interval of requests: 20 Hz at first, then 4 Hz."""
@@ -56,13 +58,17 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Exchange:
-    at_ns: int
-    offset_ns: int
-    round_trip_ns: int
+    asked_ns: int
+    answered_ns: int
+    theirs_ns: int
+
+    @property
+    def round_trip_ns(self) -> int:
+        return self.answered_ns - self.asked_ns
 
 
 class TimeSync:
-    """Asks at the right times, keeps the exchanges of the last half minute, fits the line."""
+    """Asks at the right times, keeps the exchanges of the last minute, fits the line."""
 
     def __init__(self) -> None:
         self._exchanges: deque[_Exchange] = deque()
@@ -98,9 +104,8 @@ class TimeSync:
         if ts1_ns not in self._asked or not 0 <= took <= _ANSWER_WITHIN_NS:
             self.refused += 1
             return False
-        middle = ts1_ns + took // 2
-        self._exchanges.append(_Exchange(middle, middle - tc1_ns, took))
-        while now_ns - self._exchanges[0].at_ns > WINDOW_NS:
+        self._exchanges.append(_Exchange(ts1_ns, now_ns, tc1_ns))
+        while now_ns - self._exchanges[0].answered_ns > WINDOW_NS:
             self._exchanges.popleft()
         self._line = None
         return True
@@ -118,26 +123,42 @@ class TimeSync:
 
 
 def _fit(exchanges: deque[_Exchange]) -> Line:
-    """Least squares over the fastest exchanges, with a prior on the drift.
+    """Offset and drift of greatest likelihood for delays that are a shortest one + exponential.
 
-    o_i = a + b (t_i − t̄) + e_i,   b ~ N(0, σ_b²),   e_i ~ N(0, s²); s is the root mean square of
-    what the chosen round trips exceed the fastest by, halved: all of it on one way at worst.
+    For a drift b the residuals are there_i + b τ_i and back_i − b τ_i above their smallest. With
+    unknown mean delays, b minimises  n ln(mean there) + n ln(mean back) + b² / 2σ_b²;  the smallest
+    of n exponential values exceeds the shortest delay by mean / (n − 1), which is taken off.
     """
-    count = max(_AT_LEAST, round(_FASTEST * len(exchanges)))
-    chosen = sorted(exchanges, key=lambda e: e.round_trip_ns)[:count]
-    fastest = chosen[0].round_trip_ns
-    excess = [(e.round_trip_ns - fastest) / 2 for e in chosen]
-    s2 = _FLOOR_NS**2 + sum(x * x for x in excess) / count
-    t0, o0 = chosen[0].at_ns, chosen[0].offset_ns
-    t = [float(e.at_ns - t0) for e in chosen]
-    o = [float(e.offset_ns - o0) for e in chosen]
-    t_mean, o_mean = sum(t) / count, sum(o) / count
-    s_tt = sum((x - t_mean) ** 2 for x in t) + s2 / _DRIFT_SD**2
-    drift = sum((x - t_mean) * (y - o_mean) for x, y in zip(t, o, strict=True)) / s_tt
+    n = len(exchanges)
+    first = exchanges[0]
+    # Differences in integers before floats: nanoseconds of Unix time do not fit a float.
+    raw = np.array(
+        [
+            (
+                (e.asked_ns + e.answered_ns) // 2 - first.asked_ns,
+                (e.theirs_ns - first.theirs_ns) - (e.asked_ns - first.asked_ns),
+                (e.answered_ns - first.asked_ns) - (e.theirs_ns - first.theirs_ns),
+            )
+            for e in exchanges
+        ],
+        np.float64,
+    )
+    middle = float(raw[:, 0].mean())
+    turn = _DRIFTS[:, np.newaxis] * (raw[:, 0] - middle)
+    there, back = raw[:, 1] + turn, raw[:, 2] - turn
+    least_there, least_back = there.min(axis=1), back.min(axis=1)
+    over_there = there.mean(axis=1) - least_there + _FLOOR_NS
+    over_back = back.mean(axis=1) - least_back + _FLOOR_NS
+    cost = n * (np.log(over_there) + np.log(over_back)) + 0.5 * (_DRIFTS / _DRIFT_SD) ** 2
+    best = int(np.argmin(cost))
+    excess = (float(over_back[best]) - float(over_there[best])) / (n - 1)
+    offset = (float(least_back[best]) - float(least_there[best]) - excess) / 2
+    spread_ns = math.hypot(float(over_there[best]), float(over_back[best])) / (n - 1)
+    span_ns = float(np.ptp(raw[:, 0])) + 1.0
     return Line(
-        at_ns=t0 + round(t_mean),
-        offset_ns=o0 + round(o_mean),
-        drift=drift,
-        sd_ns=math.sqrt(s2 / count),
-        drift_sd=math.sqrt(s2 / s_tt),
+        at_ns=first.asked_ns + round(middle),
+        offset_ns=first.asked_ns - first.theirs_ns + round(offset),
+        drift=float(_DRIFTS[best]),
+        sd_ns=math.hypot(spread_ns / 2, _FLOOR_NS),
+        drift_sd=min(_DRIFT_SD, 4 * spread_ns / span_ns + 1e-6),
     )

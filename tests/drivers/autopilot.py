@@ -75,6 +75,8 @@ class Autopilot:
         self.streams: list[tuple[int, int]] = []
         self.answers: list[tuple[int, int]] = []
         self.on = True
+        self.sampled_ns: list[int] = []
+        """True times of the inertial samples sent."""
 
     # ---------------------------------------------------------------- clock
 
@@ -82,10 +84,6 @@ class Autopilot:
         """Its time since boot at a true time."""
         since = true_ns - self.boot_at_ns
         return since + round(since * self.drift)
-
-    def true_ns(self, boot_ns: int) -> int:
-        """The true time of one of its stamps."""
-        return self.boot_at_ns + round(boot_ns / (1.0 + self.drift))
 
     def reboot(self, true_ns: int) -> None:
         """Power cut: the clock begins at two seconds, requests are forgotten."""
@@ -102,6 +100,8 @@ class Autopilot:
             at = self.next_ns.setdefault(name, true_ns)
             if true_ns >= at and name not in self.silent:
                 self.next_ns[name] = max(at + round(NS / rate), true_ns)
+                if name == "HIGHRES_IMU":
+                    self.sampled_ns.append(true_ns)
                 frames.append(self.packer.pack(self.message(name, self.boot_ns(true_ns))))
         return frames
 
