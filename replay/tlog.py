@@ -123,7 +123,7 @@ def _gnss(stream: _Stream, name: str) -> tuple[GnssSamples | None, F64, int]:
     table, rows = table[keep], rows[keep]
     if not table.shape[0]:
         return None, np.zeros(0), repeats
-    at = stream.stamps(rows, messages.fix_boot_us(table))
+    at = stream.stamps(rows, messages.fix_boot_us(table, messages.boot_us(table)))
     samples, undulation = messages.gnss(name, table, at)
     return samples, undulation, repeats
 

@@ -23,7 +23,7 @@ ACQUIRE_NS = 3 * NS // 2
 """Before the first piece, arrivals and round trips are gathered for this long at most."""
 _ENOUGH = 12
 """Round trips that end the gathering early."""
-_UPDATE_NS = NS // 2
+_UPDATE_NS = NS
 _SLEW = 2e-3
 """A piece is turned by at most this: 2 ms a second, a thousandth or two on measured rates."""
 _CORRECT_S = 4.0
@@ -189,7 +189,7 @@ class BootClock:
         if self._newest_ns and abs(tc1_ns - self._newest_ns) > _SAME_CLOCK_NS:
             self.sync.refused += 1
             return False
-        line = self.sync.line()
+        line = self.sync.last_line
         middle = ts1_ns + (now_ns - ts1_ns) // 2
         limit = _JUMP_NS + (now_ns - ts1_ns)
         if line is not None and abs(middle - tc1_ns - line.offset_at(middle)) > limit:

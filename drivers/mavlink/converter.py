@@ -84,33 +84,32 @@ class Converter:
         """Whether a message is of any use here."""
         return name in _WANTED
 
-    def observe(self, name: str, table: Table, rx_ns: int) -> bool:
+    def observe(self, name: str, boot_us: I64, rx_ns: int) -> bool:
         """Give the clock the stamps of a message; True if the autopilot's clock began anew."""
         if self._begun_ns is None:
             self._begun_ns = rx_ns
         self._seen_ns[name] = rx_ns
         restarted = False
         if name in messages.BOOT_STAMPED:
-            for stamp in messages.boot_us(table).tolist():
+            for stamp in boot_us.tolist():
                 restarted |= bool(stamp) and self._clock.observe(stamp, rx_ns)
         return restarted
 
-    def convert(self, name: str, table: Table, seq: int, rx_ns: int) -> None:
-        """Take the rows of one message; what they hold comes out of :meth:`take`."""
+    def convert(self, name: str, table: Table, boot_us: I64, seq: int, rx_ns: int) -> None:
+        """Take the rows of one message with their stamps; they come out of :meth:`take`."""
         if not self._clock.ready:
             self._counters.not_timed += table.shape[0]
         elif name in messages.GNSS:
-            self._fixes(name, table, seq, rx_ns)
+            self._fixes(name, table, boot_us, seq, rx_ns)
         elif name == "GLOBAL_POSITION_INT":
-            self._position(table, seq, rx_ns)
+            self._position(table, boot_us, seq, rx_ns)
         elif name == "ATTITUDE":
-            self._turn(table, rx_ns)
+            self._turn(table, self._stamps(boot_us, seq, rx_ns))
         else:
-            self._sensors(name, table, seq, rx_ns)
+            self._sensors(name, table, self._stamps(boot_us, seq, rx_ns), rx_ns)
 
-    def _sensors(self, name: str, table: Table, seq: int, rx_ns: int) -> None:
+    def _sensors(self, name: str, table: Table, at: Stamps, rx_ns: int) -> None:
         """IMU, field and pressure of a message, as far as no better message carries them."""
-        at = self._stamps(messages.boot_us(table), seq, rx_ns)
         if name in messages.IMU:
             self._keep(self._imu, messages.imu(name, table, at))
         if name in messages.MAG_OTHERS or self._best(name, messages.MAG, rx_ns):
@@ -155,36 +154,42 @@ class Converter:
         if sane is None:
             return
         key = type(sane), sane.source
-        peak = np.maximum.accumulate(np.append(self._newest.get(key, 0), sane.t_ns))
-        newer = sane.t_ns > peak[:-1]
-        self._newest[key] = int(peak[-1])
-        self._counters.repeated += int((~newer).sum())
-        if newer.any():
-            out.append(sane if newer.all() else sane.take(newer))
-            self._counters.samples += int(newer.sum())
+        newest = self._newest.get(key, 0)
+        count = len(sane)
+        if count > 1:
+            peak = np.maximum.accumulate(sane.t_ns)
+            newer = sane.t_ns > np.maximum(np.concatenate([[newest], peak[:-1]]), newest)
+            sane = sane if newer.all() else sane.take(newer)
+        elif sane.t_ns[0] <= newest:
+            sane = sane.take(slice(0, 0))
+        self._counters.repeated += count - len(sane)
+        if len(sane):
+            self._newest[key] = int(sane.t_ns[-1])
+            out.append(sane)
+            self._counters.samples += len(sane)
 
     def _timed(self, samples: S, finite: messages.Rows) -> S | None:
         """Finite rows whose time can be right; the others are counted."""
         future = samples.t_ns > samples.t_rx_ns + _FUTURE_NS
-        self._counters.unusable += int((~finite).sum())
-        self._counters.not_timed += int((future & finite).sum())
         good = finite & ~future
         if good.all():
             return samples
+        self._counters.unusable += int((~finite).sum())
+        self._counters.not_timed += int((future & finite).sum())
         return samples.take(good) if good.any() else None
 
     # ------------------------------------------------------------------ fixes
 
-    def _fixes(self, name: str, table: Table, seq: int, rx_ns: int) -> None:
+    def _fixes(self, name: str, table: Table, boot_us: I64, seq: int, rx_ns: int) -> None:
         before = self._fix.get(name)
         joined = table if before is None else np.concatenate([before, table])
         new = messages.new_fixes(joined)[-table.shape[0] :]
         self._fix[name] = table[-1:]
         self._counters.repeated += int((~new).sum())
-        table = table[new]
-        if not table.shape[0]:
+        if not new.any():
             return
-        at = self._stamps(messages.fix_boot_us(table), seq, rx_ns)
+        table, boot_us = table[new], boot_us[new]
+        at = self._stamps(messages.fix_boot_us(table, boot_us), seq, rx_ns)
         samples, undulation = messages.gnss(name, table, at)
         self._decide_datum(samples, undulation)
         fixes = self._timed(replace(samples, height=samples.height + self._geoid_m), _all(samples))
@@ -207,11 +212,12 @@ class Converter:
 
     # ------------------------------------------------------------------ the autopilot's solution
 
-    def _position(self, table: Table, seq: int, rx_ns: int) -> None:
-        table = table[messages.known_position(table)]
+    def _position(self, table: Table, boot_us: I64, seq: int, rx_ns: int) -> None:
+        known = messages.known_position(table)
+        table = table[known]
         if not table.shape[0]:
             return
-        at = self._stamps(messages.boot_us(table), seq, rx_ns)
+        at = self._stamps(boot_us[known], seq, rx_ns)
         lat, lon, amsl, vel_n = messages.position(table)
         unknown = np.full((table.shape[0], 3), np.nan)
         height = amsl + self._geoid_m
@@ -220,10 +226,11 @@ class Converter:
         )
         self._positions.extend(reference.take(slice(i, i + 1)) for i in range(len(reference)))
 
-    def _turn(self, table: Table, rx_ns: int) -> None:
+    def _turn(self, table: Table, at: Stamps) -> None:
         """Give the positions before this attitude theirs, interpolated the short way round."""
-        t_ns = self._stamps(messages.boot_us(table), 0, rx_ns).t_ns.tolist()
-        for now_ns, rpy in zip(t_ns, triple(table, ("roll", "pitch", "yaw")), strict=True):
+        for now_ns, rpy in zip(
+            at.t_ns.tolist(), triple(table, ("roll", "pitch", "yaw")), strict=True
+        ):
             if not np.isfinite(rpy).all():
                 continue
             while self._positions and int(self._positions[0].t_ns[0]) <= now_ns:
@@ -264,13 +271,12 @@ class Converter:
 def _finite(samples: Sensor) -> messages.Rows:
     """(N,) which rows hold numbers."""
     if isinstance(samples, ImuSamples):
-        total = samples.gyro_b.sum(axis=1) + samples.accel_b.sum(axis=1)
+        finite = np.isfinite(samples.gyro_b) & np.isfinite(samples.accel_b)
     elif isinstance(samples, MagSamples):
-        total = samples.field_b.sum(axis=1)
+        finite = np.isfinite(samples.field_b)
     else:
-        total = samples.pressure
-    finite: messages.Rows = np.isfinite(total)
-    return finite
+        return np.isfinite(samples.pressure)
+    return finite[:, 0] & finite[:, 1] & finite[:, 2]
 
 
 def _all(samples: GnssSamples) -> messages.Rows:

@@ -17,7 +17,7 @@ class SessionCounters:
     """Bytes that belong to no frame."""
     bad_crc: int = 0
     unknown: int = 0
-    """Frames outside the dialect, which nobody can check."""
+    """Frames outside the dialect, which nobody can check; on a stream they are bad bytes."""
     foreign: int = 0
     """Frames of other systems or components, or before the vehicle was found."""
     lost: int = 0

@@ -9,6 +9,7 @@ after them. Format: mavlink.io/en/guide/serialization.html; signatures are locat
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -121,7 +122,7 @@ def _in_step(buf: U8, at: Int, final: bool) -> bool:
 
 
 @njit(
-    "UniTuple(i8, 2)(Array(u1, 1, 'C', readonly=True), i8, b1, i8,"
+    "UniTuple(i8, 2)(Array(u1, 1, 'C', readonly=True), i8, b1, b1, i8,"
     " Array(i2, 2, 'C', readonly=True), i8[:, ::1], i8[::1])",
     cache=True,
 )
@@ -129,6 +130,7 @@ def _scan(
     buf: U8,
     start: Int,
     final: bool,
+    strict: bool,
     stamp: int,
     table: NDArray[np.int16],
     out: NDArray[np.int64],
@@ -136,6 +138,7 @@ def _scan(
 ) -> tuple[Int, int]:
     """Fill ``out`` from ``start`` on: (bytes settled, frames found).
 
+    ``strict``: frames of unknown messages, which nobody can check, are none.
     Stops when ``out`` is full, at the end of the data, or, unless ``final``, where a frame may
     be waiting for its rest.
     """
@@ -147,7 +150,7 @@ def _scan(
     while found < out.shape[0] and pos < size:
         end = _parse(buf, at, table, out[found])
         known = end > 0 and out[found, _CHECKED] == 1
-        if known or (end > 0 and expected and _in_step(buf, end + stamp, final)):
+        if known or (not strict and end > 0 and expected and _in_step(buf, end + stamp, final)):
             when = np.int64(0)
             if stamp > 0 and at >= stamp:
                 for i in range(at - stamp, at):
@@ -221,7 +224,10 @@ _TYPES = (
 )
 
 
-def _index(buf: U8, *, final: bool, stamped: bool) -> tuple[FrameIndex, Int]:
+_NAMES = tuple(f.name for f in fields(FrameIndex))[:_COLUMNS]
+
+
+def _index(buf: U8, *, final: bool, stamped: bool, strict: bool = False) -> tuple[FrameIndex, Int]:
     """Frames of ``buf`` and how many of its bytes are settled."""
     counts = np.zeros(2, np.int64)
     stamp = STAMP_BYTES if stamped else 0
@@ -230,12 +236,12 @@ def _index(buf: U8, *, final: bool, stamped: bool) -> tuple[FrameIndex, Int]:
     pos: Int = 0
     found: Int = out.shape[0]
     while found == out.shape[0]:
-        pos, found = _scan(buf, pos, final, stamp, crc_table(), out, counts)
+        pos, found = _scan(buf, pos, final, strict, stamp, crc_table(), out, counts)
         # Narrow columns batch by batch: the wide table never grows with the file.
         batches.append([out[:found, i].astype(kind) for i, kind in enumerate(_TYPES)])
-    names = [f.name for f in fields(FrameIndex)][:_COLUMNS]
-    columns = {
-        name: np.concatenate([batch[i] for batch in batches]) for i, name in enumerate(names)
+    columns: dict[str, NDArray[Any]] = {
+        name: batches[0][i] if len(batches) == 1 else np.concatenate([b[i] for b in batches])
+        for i, name in enumerate(_NAMES)
     }
     index = FrameIndex(**columns, bad_bytes=int(counts[_BAD_BYTES]), bad_crc=int(counts[_BAD_CRC]))
     return index, pos
@@ -251,9 +257,14 @@ def index_frames(buf: U8, *, stamped: bool = False) -> FrameIndex:
 
 
 class StreamFramer:
-    """Frames out of a byte stream that arrives in pieces; bad bytes are counted and dropped."""
+    """Frames out of a byte stream that arrives in pieces; bad bytes are counted and dropped.
 
-    def __init__(self) -> None:
+    ``strict``: frames of unknown messages count as bad bytes. Noise that looks like one could
+    otherwise swallow the good frames that it claims to be made of.
+    """
+
+    def __init__(self, *, strict: bool = False) -> None:
+        self._strict = strict
         self._rest = b""
         self.bad_bytes = 0
         self.bad_crc = 0
@@ -265,7 +276,7 @@ class StreamFramer:
         """
         joined = self._rest + data
         buf = np.frombuffer(joined, np.uint8)
-        index, settled = _index(buf, final=False, stamped=False)
+        index, settled = _index(buf, final=False, stamped=False, strict=self._strict)
         self._rest = joined[settled:]
         self.bad_bytes += index.bad_bytes
         self.bad_crc += index.bad_crc

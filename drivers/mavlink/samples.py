@@ -77,7 +77,12 @@ def column(table: Table, name: str) -> F64:
 
 def triple(table: Table, names: Sequence[str], scale: float = 1.0) -> F64:
     """(N, 3) float64 from three fields, times ``scale``."""
-    return np.stack([column(table, name) for name in names], axis=1) * scale
+    out = np.empty((table.shape[0], 3))
+    for i, name in enumerate(names):
+        out[:, i] = table[name]
+    if scale != 1.0:
+        out *= scale
+    return out
 
 
 def boot_us(table: Table) -> I64:
@@ -95,10 +100,16 @@ def boot_us(table: Table) -> I64:
     return np.where((stamp > 0) & (stamp < MAX_BOOT_US), stamp, 0)
 
 
-def fix_boot_us(table: Table) -> I64:
-    """(N,) as :func:`boot_us`, of fixes: without a fix the stamp of the last good one is often
-    repeated, so it says nothing."""
-    return np.where(table["fix_type"] < 2, 0, boot_us(table))
+def fix_boot_us(table: Table, stamp_us: I64) -> I64:
+    """(N,) stamps by :func:`boot_us`, of fixes: without a fix the stamp of the last good one is
+    often repeated, so it says nothing."""
+    return np.where(table["fix_type"] < 2, 0, stamp_us)
+
+
+def _there(vector: F64) -> Rows:
+    """(N,) which vectors (N, 3) are not exactly zero: that is how a missing sensor is sent."""
+    there: Rows = (vector[:, 0] != 0) | (vector[:, 1] != 0) | (vector[:, 2] != 0)
+    return there
 
 
 def imu(name: str, table: Table, at: Stamps) -> ImuSamples | None:
@@ -108,7 +119,7 @@ def imu(name: str, table: Table, at: Stamps) -> ImuSamples | None:
     """
     accel_scale, gyro_scale = (1.0, 1.0) if name == "HIGHRES_IMU" else (_MILLI_G, 1e-3)
     accel = triple(table, ("xacc", "yacc", "zacc"), accel_scale)
-    fresh: Rows = np.abs(accel).sum(axis=1) != 0
+    fresh = _there(accel)
     if name == "HIGHRES_IMU":
         fresh &= (table["fields_updated"] & _ACCEL_GYRO_UPDATED) == _ACCEL_GYRO_UPDATED
     if not fresh.any():
@@ -123,13 +134,14 @@ def imu(name: str, table: Table, at: Stamps) -> ImuSamples | None:
 def mag(name: str, table: Table, at: Stamps) -> MagSamples | None:
     """Magnetic field [T] of an inertial message; None if it has none. All zero: not there."""
     field = triple(table, ("xmag", "ymag", "zmag"), 1e-4 if name == "HIGHRES_IMU" else 1e-7)
-    fresh: Rows = np.abs(field).sum(axis=1) != 0
+    fresh = _there(field)
     if name == "HIGHRES_IMU":
         fresh &= (table["fields_updated"] & _MAG_UPDATED) == _MAG_UPDATED
     if not fresh.any():
         return None
-    at = at.take(fresh)
-    return MagSamples(name, at.t_ns, at.rx_ns, at.seq, field[fresh])
+    if not fresh.all():
+        at, field = at.take(fresh), field[fresh]
+    return MagSamples(name, at.t_ns, at.rx_ns, at.seq, field)
 
 
 def baro(name: str, table: Table, at: Stamps) -> BaroSamples | None:

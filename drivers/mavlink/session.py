@@ -25,7 +25,7 @@ from drivers.mavlink.dialect import message_id, message_name
 from drivers.mavlink.framer import U8, FrameIndex, StreamFramer, index_frames
 from drivers.mavlink.packer import ONBOARD_COMPUTER, Packer
 from drivers.mavlink.rates import RateKeeper, RateReport, Wish
-from drivers.mavlink.samples import Table
+from drivers.mavlink.samples import Table, boot_us
 from drivers.mavlink.signing import Signing, SigningCounters
 
 HEARTBEAT_NS = NS
@@ -116,7 +116,7 @@ class MavlinkSession:
         key = settings.signing_key
         self._signing = Signing(key, settings.link_id) if key is not None else None
         self._packer = Packer(settings.system or 1, settings.component, self._signing)
-        self._framer = StreamFramer()
+        self._framer = StreamFramer(strict=True)
         self._converter = Converter(self.clock, self.counters)
         self._vehicle: tuple[int, int] | None = None
         self._status = 0
@@ -132,7 +132,7 @@ class MavlinkSession:
 
     def reopened(self) -> None:
         """The link was opened (again): half a frame from before belongs to nothing."""
-        self._framer = StreamFramer()
+        self._framer = StreamFramer(strict=True)
         self._last_frame = None
         self.rates.restart()
 
@@ -220,9 +220,9 @@ class MavlinkSession:
         Clocks first: stamps and TIMESYNC of this piece count for its samples.
         """
         kinds = index.msgid[rows]
-        tables: list[tuple[str, Table]] = []
+        tables: list[tuple[str, Table, I64]] = []
         for msgid in dict.fromkeys(kinds.tolist()):
-            these = rows[kinds == msgid]
+            these = rows[kinds == msgid] if len(rows) > 1 else rows
             if msgid == _TIMESYNC:
                 self._timesync(t_rx_ns, decode(buf, index, msgid, these))
             elif msgid == _COMMAND_ACK:
@@ -234,13 +234,14 @@ class MavlinkSession:
                 name = message_name(msgid)
                 self.rates.count(name, len(these))
                 if self._converter.wants(name):
-                    tables.append((name, decode(buf, index, msgid, these)))
-        for name, table in tables:
-            if self._converter.observe(name, table, t_rx_ns):
+                    table = decode(buf, index, msgid, these)
+                    tables.append((name, table, boot_us(table)))
+        for name, _, stamps_us in tables:
+            if self._converter.observe(name, stamps_us, t_rx_ns):
                 self._restarted(t_rx_ns)
         self.clock.update(t_rx_ns)
-        for name, table in tables:
-            self._converter.convert(name, table, seq, t_rx_ns)
+        for name, table, stamps_us in tables:
+            self._converter.convert(name, table, stamps_us, seq, t_rx_ns)
 
     def _timesync(self, t_rx_ns: int, table: Table) -> None:
         for tc1, ts1 in zip(table["tc1"].tolist(), table["ts1"].tolist(), strict=True):
@@ -357,7 +358,7 @@ class MavlinkSession:
 
     def status(self, now_ns: int) -> SessionStatus:
         """How the link is doing."""
-        line, trip = self.clock.sync.line(), self.clock.sync.round_trip_ns
+        line, trip = self.clock.sync.last_line, self.clock.sync.round_trip_ns
         nan = float("nan")
         return SessionStatus(
             vehicle=self._vehicle,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.types import NS
+from companion.types import F64, NS
 
 WINDOW_NS = 60 * NS
 _AT_LEAST = 6
@@ -24,8 +24,10 @@ _FLOOR_NS = 20_000.0
 """Deviation below which no claim is made: stamps and scheduling."""
 _DRIFT_SD = 50e-6
 """Prior of the drift: what two crystals differ by."""
-_DRIFTS = np.arange(-100, 101) * 2e-6
-"""Drifts that are tried."""
+_COARSE: F64 = np.linspace(-200e-6, 200e-6, 41)
+"""Drifts that are tried first …"""
+_FINE: F64 = np.linspace(-10e-6, 10e-6, 21)
+"""… and then around the best of them."""
 _BURST_NS, _BURST_STEP_NS = 3 * NS // 2, NS // 20
 _STEP_NS = NS // 4
 """Interval of requests: 20 Hz at first, then 4 Hz."""
@@ -74,7 +76,9 @@ class TimeSync:
         self._exchanges: deque[_Exchange] = deque()
         self._asked: deque[int] = deque(maxlen=64)
         self._begun_ns: int | None = None
-        self._line: Line | None = None
+        self._stale = False
+        self.last_line: Line | None = None
+        """As of the last :meth:`line`."""
         self.refused = 0
         """Answers to nothing that we asked, or too late."""
 
@@ -86,7 +90,8 @@ class TimeSync:
         self._exchanges.clear()
         self._asked.clear()
         self._begun_ns = None
-        self._line = None
+        self._stale = False
+        self.last_line = None
 
     def request(self, now_ns: int) -> int | None:
         """``ts1`` of a request to send now, or None if none is due."""
@@ -107,7 +112,7 @@ class TimeSync:
         self._exchanges.append(_Exchange(ts1_ns, now_ns, tc1_ns))
         while now_ns - self._exchanges[0].answered_ns > WINDOW_NS:
             self._exchanges.popleft()
-        self._line = None
+        self._stale = True
         return True
 
     @property
@@ -117,9 +122,10 @@ class TimeSync:
 
     def line(self) -> Line | None:
         """Offset and drift by the exchanges of the window; None before there are a few."""
-        if self._line is None and len(self._exchanges) >= _AT_LEAST:
-            self._line = _fit(self._exchanges)
-        return self._line
+        if self._stale and len(self._exchanges) >= _AT_LEAST:
+            self.last_line = _fit(self._exchanges)
+            self._stale = False
+        return self.last_line
 
 
 def _fit(exchanges: deque[_Exchange]) -> Line:
@@ -144,21 +150,28 @@ def _fit(exchanges: deque[_Exchange]) -> Line:
         np.float64,
     )
     middle = float(raw[:, 0].mean())
-    turn = _DRIFTS[:, np.newaxis] * (raw[:, 0] - middle)
-    there, back = raw[:, 1] + turn, raw[:, 2] - turn
-    least_there, least_back = there.min(axis=1), back.min(axis=1)
-    over_there = there.mean(axis=1) - least_there + _FLOOR_NS
-    over_back = back.mean(axis=1) - least_back + _FLOOR_NS
-    cost = n * (np.log(over_there) + np.log(over_back)) + 0.5 * (_DRIFTS / _DRIFT_SD) ** 2
-    best = int(np.argmin(cost))
-    excess = (float(over_back[best]) - float(over_there[best])) / (n - 1)
-    offset = (float(least_back[best]) - float(least_there[best]) - excess) / 2
-    spread_ns = math.hypot(float(over_there[best]), float(over_back[best])) / (n - 1)
+    raw[:, 0] -= middle
+    coarse = _most_likely(raw, _COARSE)[0]
+    drift, least, over = _most_likely(raw, coarse + _FINE)
+    offset = (least[1] - least[0] - (over[1] - over[0]) / (n - 1)) / 2
+    spread_ns = math.hypot(*over) / (n - 1)
     span_ns = float(np.ptp(raw[:, 0])) + 1.0
     return Line(
         at_ns=first.asked_ns + round(middle),
         offset_ns=first.asked_ns - first.theirs_ns + round(offset),
-        drift=float(_DRIFTS[best]),
+        drift=drift,
         sd_ns=math.hypot(spread_ns / 2, _FLOOR_NS),
         drift_sd=min(_DRIFT_SD, 4 * spread_ns / span_ns + 1e-6),
     )
+
+
+def _most_likely(raw: F64, drifts: F64) -> tuple[float, list[float], list[float]]:
+    """Best of ``drifts`` for exchanges (N, 3) of [τ, there, back]; with it the least of both
+    delays and their means above that, the floor included [ns]."""
+    turn = drifts[:, np.newaxis] * raw[:, 0]
+    delays = raw[:, 1] + turn, raw[:, 2] - turn
+    least = [d.min(axis=1) for d in delays]
+    over = [d.mean(axis=1) - low + _FLOOR_NS for d, low in zip(delays, least, strict=True)]
+    cost = raw.shape[0] * np.log(over[0] * over[1]) + 0.5 * (drifts / _DRIFT_SD) ** 2
+    best = int(np.argmin(cost))
+    return float(drifts[best]), [float(x[best]) for x in least], [float(x[best]) for x in over]

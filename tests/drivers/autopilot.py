@@ -93,13 +93,20 @@ class Autopilot:
 
     # ---------------------------------------------------------------- what it sends
 
+    def next_due(self, now_ns: int) -> int:
+        """When it has something to send next."""
+        return min(self.next_ns.get(name, now_ns) for name in ("HEARTBEAT", *self.rates))
+
     def due(self, true_ns: int) -> list[bytes]:
-        """Frames of this moment; call it every millisecond."""
+        """Frames of this moment."""
         frames = []
         for name, rate in {"HEARTBEAT": 1.0, **self.rates}.items():
             at = self.next_ns.setdefault(name, true_ns)
-            if true_ns >= at and name not in self.silent:
-                self.next_ns[name] = max(at + round(NS / rate), true_ns)
+            if true_ns >= at:
+                # After a pause it does not catch up.
+                self.next_ns[name] = max(at + round(NS / rate), true_ns + 1)
+                if name in self.silent:
+                    continue
                 if name == "HIGHRES_IMU":
                     self.sampled_ns.append(true_ns)
                 frames.append(self.packer.pack(self.message(name, self.boot_ns(true_ns))))
@@ -200,7 +207,7 @@ class Air:
 
     def __init__(self, session: MavlinkSession, autopilot: Autopilot) -> None:
         self.session, self.autopilot = session, autopilot
-        self.now_ns = START_NS
+        self.now_ns = self._tick_ns = START_NS
         self.seq = 0
         self.samples: list[Any] = []
         self.references: list[Any] = []
@@ -218,21 +225,26 @@ class Air:
         heapq.heappush(self._flying, (arrival, self._sent, to_us, data))
 
     def run(self, seconds: float) -> None:
-        """Let that much time pass."""
+        """Let that much time pass, from one thing that happens to the next."""
         stop = self.now_ns + round(seconds * NS)
-        tick_ns = self.now_ns
-        while self.now_ns < stop:
-            if self.autopilot.on:
+        while True:
+            landing = self._flying[0][0] if self._flying else stop
+            due = self.autopilot.next_due(self.now_ns) if self.autopilot.on else stop
+            at = min(landing, due, self._tick_ns)
+            if at >= stop:
+                self.now_ns = stop
+                return
+            self.now_ns = max(at, self.now_ns)
+            if at == landing:
+                _, _, to_us, data = heapq.heappop(self._flying)
+                self._arrive(self.now_ns, to_us, data)
+            elif at == self._tick_ns:
+                self._tick_ns += NS // 10
+                self.session.tick(self.now_ns)
+            else:
                 for frame in self.autopilot.due(self.now_ns):
                     self._send(frame, True, self.now_ns)
-            while self._flying and self._flying[0][0] <= self.now_ns:
-                arrival, _, to_us, data = heapq.heappop(self._flying)
-                self._arrive(arrival, to_us, data)
-            if self.now_ns >= tick_ns:
-                tick_ns += NS // 10
-                self.session.tick(self.now_ns)
             self._flush(self.now_ns)
-            self.now_ns += 1_000_000
 
     def _arrive(self, arrival_ns: int, to_us: bool, data: bytes) -> None:
         if not to_us:
@@ -242,7 +254,6 @@ class Air:
             return
         self.seq += 1
         self.session.feed(self.seq, arrival_ns, data)
-        self._flush(arrival_ns)
 
     def _flush(self, now_ns: int) -> None:
         for frame in self.session.outgoing():

@@ -140,15 +140,15 @@ def test_a_message_that_is_granted_and_never_comes_is_replaced() -> None:
 
 
 def test_an_old_autopilot_is_asked_for_streams() -> None:
-    flight = air()
+    flight = air(SessionSettings(imu_rate_hz=50.0))
     flight.autopilot.knows_intervals = False
-    flight.run(40.0)
-    assert (mavlink.MAV_DATA_STREAM_RAW_SENSORS, 100) in flight.autopilot.streams
+    flight.run(30.0)
+    assert (mavlink.MAV_DATA_STREAM_RAW_SENSORS, 50) in flight.autopilot.streams
     assert len(flight.of("RAW_IMU", ImuSamples)) > 500
 
 
 def test_what_is_not_delivered_is_an_event_and_not_a_failure() -> None:
-    flight = air()
+    flight = air(SessionSettings(imu_rate_hz=10.0))
     flight.autopilot.silent = {"SCALED_PRESSURE"}
     flight.run(20.0)
     told = [e for e in flight.events if e.kind == "rate-not-delivered"]
