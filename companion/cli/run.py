@@ -30,11 +30,12 @@ def run_live(
     config = load(config_path)
     compile_kernels()
     with present.notice_if_slow(console, "Loading the numerical kernels …"):
-        from companion.runtime.run import prepare, run, warm_up
+        from companion.runtime.run import run
+        from companion.runtime.start import prepare, warm_up
     start = prepare(config, log)
     with present.notice_if_slow(console, "Warming up …"):
         warm_up(start.config)
-    publishers: list[Publisher] = [Terminal(console), *_outputs(start.config)]
+    publishers: list[Publisher] = [*_outputs(start.config), Terminal(console)]
     console.print(f"Vehicle   {escape(config.vehicle.name)}, log {escape(str(start.log))}")
     for note in start.notes:
         console.print(f"Note      {escape(note)}")

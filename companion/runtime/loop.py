@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import FrameType
 
+from companion.outputs.ground_link import GroundLink
 from companion.outputs.publisher import Publisher
 from companion.runtime.background import BackgroundFile
 from companion.runtime.clock import Reading, RunClock
@@ -77,11 +78,10 @@ class Parts:
     autopilot: ReopeningLink | None
     session: MavlinkSession | None
     publishers: Sequence[Publisher]
+    ground: GroundLink | None
     log: BackgroundFile
     notifier: Notifier
     stop: Stop
-    save: Callable[[], None]
-    """Keep the biases; must return at once."""
 
 
 class Loop:
@@ -116,15 +116,18 @@ class Loop:
 
     # ------------------------------------------------------------------ the loop
 
-    def run(self, core: Core, seconds: float | None) -> None:
-        """Go on until a signal, or for ``seconds``."""
+    def run(self, core: Core, seconds: float | None, save: Callable[[], None]) -> None:
+        """Go on until a signal, or for ``seconds``.
+
+        ``save`` is called once a minute to keep what was learned; it must return at once.
+        """
         self.core = core
         p = self._p
         now = p.clock.read()
         begun = now.monotonic
         end = begun + round(seconds * NS) if seconds is not None else None
         tick = begun
-        health, save = begun + HEALTH_NS, begun + SAVE_NS
+        health, keep = begun + HEALTH_NS, begun + SAVE_NS
         self._cpu_at_ns = begun
         self._selector.register(p.stop.fileno(), selectors.EVENT_READ, None)
         for bus in p.buses:
@@ -137,9 +140,9 @@ class Loop:
             if now.monotonic >= health:
                 self._report(now)
                 health = now.monotonic + HEALTH_NS
-            if now.monotonic >= save:
-                p.save()
-                save = now.monotonic + SAVE_NS
+            if now.monotonic >= keep:
+                save()
+                keep = now.monotonic + SAVE_NS
             self._wait(min(tick, end) if end is not None else tick)
             now = p.clock.read()
         self._report(now)
@@ -158,6 +161,7 @@ class Loop:
         for autopilot in links:
             if isinstance(autopilot, ReopeningLink):
                 self._read_autopilot(autopilot)
+        self._send()
         self._stall_ns = max(self._stall_ns, clock.read().monotonic - worked)
 
     def _read_bus(self, bus: CanLink) -> None:
@@ -176,15 +180,14 @@ class Loop:
         for piece in pieces:
             self._arrival_ns = now.monotonic
             self.core.mavlink(now.run, piece)
-        self._send(link)
         if not pieces:
             self._watch(link)
 
-    def _send(self, link: ReopeningLink) -> None:
+    def _send(self) -> None:
         """What the session wants to say; a link that takes nothing loses it."""
-        if self._p.session is not None:
+        if self._p.session is not None and self._p.autopilot is not None:
             for frame in self._p.session.outgoing():
-                link.write(frame)
+                self._p.autopilot.write(frame)
 
     # ------------------------------------------------------------------ now and then
 
@@ -202,12 +205,9 @@ class Loop:
             for state, note in p.autopilot.changes():
                 self.core.link(MAVLINK_LINK, state, note, now.run)
         self.core.tick(now)
-        if p.autopilot is not None:
-            self._send(p.autopilot)
+        self._send()
         self._note_log(now)
-        for publisher in p.publishers:
-            for notice in publisher.notices():
-                self.core.event(Event(now.run, notice.kind, notice.text, notice.level))
+        self._note_outputs(now)
         if not self._ready:
             self._ready = True
             p.notifier.ready()
@@ -226,6 +226,16 @@ class Loop:
         if fd is not None and known is None:
             self._selector.register(fd, selectors.EVENT_READ, link)
             self._registered[link.name] = fd
+
+    def _note_outputs(self, now: Reading) -> None:
+        """Make events of what happened to the outputs."""
+        p = self._p
+        notices = [notice for publisher in p.publishers for notice in publisher.notices()]
+        if p.ground is not None:
+            p.ground.tick(now.run, p.session.system if p.session is not None else 0)
+            notices += p.ground.notices()
+        for notice in notices:
+            self.core.event(Event(now.run, notice.kind, notice.text, notice.level))
 
     def _note_log(self, now: Reading) -> None:
         """Say it when the disk stops to take the log, and when it does again."""
