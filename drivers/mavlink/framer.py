@@ -175,6 +175,10 @@ def _scan(
                 counts[_BAD_BYTES] += size - pos
                 pos = size
             break
+    if not final and stamp == 0 and found < out.shape[0]:
+        # No frame begins before ``at``: noise must not be searched again with every piece.
+        counts[_BAD_BYTES] += at - pos
+        pos = at
     return pos, found
 
 
@@ -259,12 +263,11 @@ def index_frames(buf: U8, *, stamped: bool = False) -> FrameIndex:
 class StreamFramer:
     """Frames out of a byte stream that arrives in pieces; bad bytes are counted and dropped.
 
-    ``strict``: frames of unknown messages count as bad bytes. Noise that looks like one could
-    otherwise swallow the good frames that it claims to be made of.
+    Frames of unknown messages count as bad bytes: noise that looks like one could otherwise
+    swallow the good frames that it claims to be made of.
     """
 
-    def __init__(self, *, strict: bool = False) -> None:
-        self._strict = strict
+    def __init__(self) -> None:
         self._rest = b""
         self.bad_bytes = 0
         self.bad_crc = 0
@@ -276,7 +279,7 @@ class StreamFramer:
         """
         joined = self._rest + data
         buf = np.frombuffer(joined, np.uint8)
-        index, settled = _index(buf, final=False, stamped=False, strict=self._strict)
+        index, settled = _index(buf, final=False, stamped=False, strict=True)
         self._rest = joined[settled:]
         self.bad_bytes += index.bad_bytes
         self.bad_crc += index.bad_crc

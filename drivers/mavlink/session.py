@@ -116,7 +116,7 @@ class MavlinkSession:
         key = settings.signing_key
         self._signing = Signing(key, settings.link_id) if key is not None else None
         self._packer = Packer(settings.system or 1, settings.component, self._signing)
-        self._framer = StreamFramer(strict=True)
+        self._framer = StreamFramer()
         self._converter = Converter(self.clock, self.counters)
         self._vehicle: tuple[int, int] | None = None
         self._status = 0
@@ -132,7 +132,7 @@ class MavlinkSession:
 
     def reopened(self) -> None:
         """The link was opened (again): half a frame from before belongs to nothing."""
-        self._framer = StreamFramer(strict=True)
+        self._framer = StreamFramer()
         self._last_frame = None
         self.rates.restart()
 

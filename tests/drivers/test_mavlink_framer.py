@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from drivers.mavlink.columns import decode
 from drivers.mavlink.dialect import crc_table, layout, message_id, message_name
-from drivers.mavlink.framer import StreamFramer, index_frames
+from drivers.mavlink.framer import MAX_FRAME, StreamFramer, index_frames
 
 
 def frames(count: int = 40) -> list[bytes]:
@@ -111,3 +111,15 @@ def test_pieces_give_the_same_frames_as_the_whole(piece: int) -> None:
         seq += index.seq.tolist()
     assert seq == whole.seq.tolist()
     assert framer.bad_bytes == whole.bad_bytes == 4
+
+
+def test_noise_on_a_stream_is_not_kept() -> None:
+    framer = StreamFramer()
+    rng = np.random.default_rng(3)
+    total = 0
+    for _ in range(200):
+        piece = rng.bytes(500)
+        total += len(piece)
+        framer.feed(piece)
+        # What waits is at most the head of one frame and what it claims to hold.
+        assert total - framer.bad_bytes <= MAX_FRAME
