@@ -26,8 +26,8 @@ from companion.types import (
     SensorState,
 )
 
-RATE_NS = 2 * NS
-"""Rates are means over this long, so that a 1 Hz receiver has one."""
+RATE_NS: dict[Kind, int] = {"imu": 2 * NS, "gnss": 10 * NS, "baro": 10 * NS, "mag": 10 * NS}
+"""Rates are means over this long: ten samples of a 1 Hz receiver are its rate to a tenth."""
 STEADY_NS = 2 * NS
 """A sensor that came back is held for steady after this long."""
 MISSING_NS = 5 * NS
@@ -209,13 +209,13 @@ class HealthMonitor:
 
 def _note_rate(s: _Sensor, t_ns: int) -> None:
     s.recent.append((t_ns, s.samples))
-    while t_ns - s.recent[0][0] > RATE_NS:
+    while t_ns - s.recent[0][0] > RATE_NS[s.kind]:
         s.recent.popleft()
     since, before = s.recent[0]
     span = t_ns - since
     s.rate_hz = (s.samples - before) * NS / span if span else 0.0
     # The first seconds, and a burst after a pause, say nothing about what is usual.
-    if span > RATE_NS // 2 and s.state == "ok":
+    if span > RATE_NS[s.kind] // 2 and s.state == "ok":
         s.best_hz = max(s.best_hz, s.rate_hz) if s.best_hz else s.rate_hz
 
 
