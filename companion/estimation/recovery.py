@@ -11,6 +11,7 @@ from companion.estimation import walk as w
 from companion.estimation.bank import spread_headings
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.phases import Check, Filter, Phase, Setup
+from companion.estimation.start import place_at
 from companion.navigation import layout as lo
 from companion.navigation.earth import ned_difference
 from companion.navigation.error_model import box_plus
@@ -77,16 +78,16 @@ def _restarted(
         box_plus(s, setup.lay, carried.copy())
         carried[:] = 0.0
     last = aids.rows[fixes[-1]]
-    s[lo.LAT : lo.LAT + 3] = last[:3]
     ahead = (t - int(aids.t[fixes[-1]])) / NS
     velocity = np.where(np.isfinite(last[3:6]), last[3:6], s[lo.VEL_N : lo.VEL_N + 3])
     s[lo.VEL_N : lo.VEL_N + 3] = velocity
     P = setup.covariance(s)
-    P[:6, :], P[:, :6] = 0.0, 0.0
+    moved = (1.0 + float(velocity @ velocity)) * ahead**2
+    place_at(setup, s, last[:3], 4.0 * last[6:9] + moved)
+    P[3:6, :], P[:, 3:6] = 0.0, 0.0
     for m in range(3):
         var = last[9 + m] if np.isfinite(last[3 + m]) else 9.0
         P[3 + m, 3 + m] = 4.0 * var + ahead**2
-        P[m, m] = 4.0 * last[6 + m] + (1.0 + float(velocity @ velocity)) * ahead**2
     s[lo.VELOCITY_FIT] = s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = 0.0
     k[lo.T_REJECT], k[lo.RESETS] = 0, k[lo.RESETS] + 1
     return s, k
@@ -99,8 +100,11 @@ def _relearn_heading(setup: Setup, s: F64, k: I64, t: int) -> tuple[Phase, Event
     # What a wrong heading taught the accelerometer bias is worth nothing; the gyro's was in part
     # learned at rest and stays, no surer than it was.
     var[12:15] = np.maximum(var[12:15], np.diag(P)[12:15])
-    P[6:, :], P[:, 6:] = 0.0, 0.0
-    P[range(6, setup.layout.n), range(6, setup.layout.n)] = var[6:]
+    # Position stays tied to the receiver's slow error, on which nothing else depends.
+    slow = range(setup.layout.gnss, setup.layout.gnss + 3) if setup.layout.gnss >= 0 else range(0)
+    for m in set(range(6, setup.layout.n)) - set(slow):
+        P[m, :], P[:, m] = 0.0, 0.0
+        P[m, m] = var[m]
     P[6, 6] = P[7, 7] = LOST_TILT_SD**2
     P[8, 8] = (math.pi / setup.config.alignment.hypotheses) ** 2
     s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = par.initial_biases(setup.config)[0]

@@ -175,7 +175,6 @@ def _initial(
     t, fix = int(aids.t[site.j]), aids.rows[site.j]
     s, k = np.zeros(setup.layout.size), np.zeros(lo.INT_SIZE, np.int64)
     s[lo.Q : lo.Q + 4] = quat_from_rpy(lev.roll, lev.pitch, heading.yaw)
-    s[lo.LAT : lo.LAT + 3] = fix[:3]
     s[lo.VEL_N : lo.VEL_N + 3] = np.where(np.isfinite(fix[3:6]), fix[3:6], 0.0)
     s[lo.LEVER_B : lo.LEVER_B + 3] = setup.config.gnss.lever_arm_b_m
     s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = known.accel_b
@@ -184,9 +183,9 @@ def _initial(
     if phase.prior is not None:
         for source, size in ((lo.BARO_BIAS, 1), (lo.STILL_LEARNED, 7)):
             s[source : source + size] = phase.prior.s[source : source + size]
+    _fill_covariance(setup, s, fix, lev, known, heading)
     bias, bias_var = _gyro_bias(s, lev, known, heading)
     s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = bias
-    _fill_covariance(setup, s, fix, lev, known, heading)
     P = setup.covariance(s)
     P[range(12, 15), range(12, 15)] = bias_var
     # rate and force at the fix, between the samples around it
@@ -229,17 +228,15 @@ def _gyro_bias(s: F64, lev: Level, known: _Biases, heading: _Heading) -> tuple[F
 def _fill_covariance(
     setup: Setup, s: F64, fix: F64, lev: Level, known: _Biases, heading: _Heading
 ) -> None:
-    """P of a start from a fix, in ``s``: all but the gyro bias."""
+    """Position and P of a start from a fix, in ``s``: all but the gyro bias."""
     P = setup.covariance(s)
     P[np.diag_indices(setup.layout.n)] = known.var
     still = lev.static and not np.isfinite(fix[3])
     unknown = (0.3 if still else 10.0, 0.3 if still else 10.0, 0.3 if lev.static else 3.0)
     velocity_var = np.where(np.isfinite(fix[3:6]), fix[9:12], np.square(unknown))
     lever = s[lo.LEVER_B : lo.LEVER_B + 3]
-    reach = float(lever @ lever)
-    for m in range(3):
-        P[m, m] = fix[6 + m] + reach
-        P[3 + m, 3 + m] = velocity_var[m]
+    place_at(setup, s, fix[:3], fix[6:9] + float(lever @ lever))
+    P[range(3, 6), range(3, 6)] = velocity_var
     attitude, cross = attitude_covariance(
         s[:4],
         known.var[lo.ACCEL_BIAS : lo.ACCEL_BIAS + 3],
@@ -251,3 +248,26 @@ def _fill_covariance(
     P[6:9, 6:9] = attitude
     P[6:9, 9:12] = cross
     P[9:12, 6:9] = cross.T
+
+
+def place_at(setup: Setup, s: F64, place: F64, variance: F64) -> None:
+    """Take position from a fix: ``place`` lat, lon [rad], height [m], white ``variance`` (3,) [m²].
+
+    The receiver's slow error b is unknown then, and in the place: what is wrong with that is −b
+    beside the white part, so P_pp = R + P_bb and P_pb = −P_bb. Taken for independent, the first fix
+    would be believed to its white part for the whole run.
+    """
+    P = setup.covariance(s)
+    s[lo.LAT : lo.LAT + 3] = place
+    P[:3, :], P[:, :3] = 0.0, 0.0
+    P[range(3), range(3)] = variance
+    at = setup.layout.gnss
+    if at < 0:
+        return
+    slow = range(at, at + 3)
+    prior = par.initial_variances(setup.config, setup.layout)[at : at + 3]
+    s[lo.GNSS_BIAS : lo.GNSS_BIAS + 3] = 0.0
+    P[slow, :], P[:, slow] = 0.0, 0.0
+    P[slow, slow] = prior
+    P[range(3), range(3)] += prior
+    P[range(3), slow] = P[slow, range(3)] = -prior

@@ -70,3 +70,43 @@ def test_flight_is_consistent(name: str) -> None:
     print("NEES by epoch", dict(zip(runs.BLOCKS, mean.T.round(2).tolist(), strict=True)))
     assert np.all(mean < high)
     assert np.all(mean[-1] > low)
+
+
+def test_a_receiver_whose_error_wanders_is_known_to_from_its_first_fix_on() -> None:
+    """Two-sided at every epoch: the first fix carries the slow error as much as any other.
+
+    What the receiver reports is the whole of its error, so it is not the white part.
+    """
+    slow, tau_s, times = (1.5, 2.5), 60.0, (3.0, 15.0, 39.0)
+    out = np.empty((SEEDS, len(times)))
+    for seed in range(SEEDS):
+        scenario = runs.honest(
+            "static",
+            40.0,
+            correlated_sd_position_m=slow[0],
+            correlated_sd_height_m=slow[1],
+            correlated_tau_s=tau_s,
+        )
+        sim = runs.run(scenario, seed)
+        receiver = scenario.gnss[0]
+        config = runs.changed(
+            runs.matching_config(scenario),
+            engine={"output_rate_hz": 2.0},
+            alignment={"heading": "fixed", "fixed_heading_deg": 30.0},
+            gnss={
+                "sd_position_m": receiver.sd_position_m,
+                "sd_height_m": receiver.sd_height_m,
+                "sd_reported": "ignore",
+                "slow_error_sd_m": slow[0],
+                "slow_error_height_sd_m": slow[1],
+                "slow_error_tau_s": tau_s,
+            },
+        )
+        flown = runs.fly(sim.recording, config)
+        at = runs.epochs(flown.solution, sim.t0_ns, times)
+        out[seed] = runs.nees(runs.errors(sim, flown.solution), flown.solution)[at, 0]
+    mean = out.mean(axis=0)
+    low, high = runs.mean_bounds(SEEDS, probability=1.0 - 0.05 / len(times))
+    print("NEES of position by epoch", mean.round(2).tolist())
+    assert np.all(mean > low)
+    assert np.all(mean < high)
