@@ -23,6 +23,7 @@ from companion.estimation import update as up
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.error_state import ErrorStateFilter
+from companion.estimation.recording import Recording, Tape
 from companion.measurements.barometer import pressure_height
 from companion.measurements.magnetometer import declination
 from companion.types import (
@@ -76,9 +77,15 @@ class Counters:
 class Engine:
     """One vehicle's estimator behind its delay ring."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, record: Recording = "no") -> None:
+        """A new estimator; with ``record`` it leaves tapes for a smoother.
+
+        A recorded run must be given its aiding in order: a tape does not go back in time.
+        """
         self.config = config
-        self.filter = ErrorStateFilter(config)
+        self._record = record
+        self._tapes: list[Tape] = []
+        self.filter = ErrorStateFilter(config, record)
         self.counters = Counters()
         self._imu = SampleBuffer(7)
         self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
@@ -140,6 +147,13 @@ class Engine:
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""
         return self._drain(final=True)
+
+    def tapes(self) -> list[Tape]:
+        """What was recorded for a smoother, a tape for each stretch without a declared break.
+
+        Once, after :meth:`finish`.
+        """
+        return [*self._tapes, *self.filter.tapes()]
 
     @property
     def digest(self) -> str:
@@ -203,7 +217,8 @@ class Engine:
         """The IMU's clock jumped back: settle what was, begin again on the new clock."""
         out = self._drain(final=True)
         resets = self.filter._resets(self.filter.phases[-1])
-        self.filter = ErrorStateFilter(self.config)
+        self._tapes += self.filter.tapes()
+        self.filter = ErrorStateFilter(self.config, self._record)
         self.filter.phases[0].resets = resets + 1
         self._imu.clear()
         self._aids.clear()

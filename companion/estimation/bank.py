@@ -54,8 +54,8 @@ def find_heading(setup: Setup, phase: Phase, t: int) -> tuple[Phase, Event] | No
     found = Filter.start(s, k, setup.slots)
     if f.tape is not None:
         # A smoother goes on through the hypothesis that won; P was widened: a new chunk.
-        f.tape.cut(s, k)
-        found.tape = f.tape
+        f.tape.cut(s, k, widened=True)
+        found.tape, f.tape = f.tape, None
     new = Phase(t + 1, Mode.NAVIGATING, [found], resets=phase.resets)
     new.checks = [Check(t)]
     yaw = math.degrees(rpy_from_quat(s[:4])[2]) % 360

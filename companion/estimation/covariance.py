@@ -11,22 +11,20 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from companion.estimation.parameters import (
     ACCEL_BIAS_PSD,
     ACCEL_BIAS_TAU,
-    ACCEL_PSD,
     BARO_PSD,
     GNSS_PSD,
     GNSS_PSD_DOWN,
     GNSS_TAU,
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
-    GYRO_PSD,
-    GYRO_VIBRATION_GAIN,
-    VIBRATION_GAIN,
 )
+from companion.estimation.process_noise import attitude_noise, velocity_noise
 from companion.navigation.error_model import transition_blocks
 from companion.navigation.layout import (
     ACCEL_BIAS,
@@ -36,19 +34,15 @@ from companion.navigation.layout import (
     GNSS_BIAS,
     GYRO_BIAS,
     GYRO_BIAS_B,
-    GYRO_VIBRATION,
     L_ACCEL_SCALE,
     L_BARO,
     L_GNSS,
     L_GYRO_SCALE,
     L_N,
     POS,
-    SUM_C,
     SUM_T,
     SUM_XA,
-    SUM_XV,
     VEL,
-    VIBRATION,
 )
 from companion.navigation.layout import P as P_OFFSET
 from companion.types import F64, I64
@@ -132,27 +126,20 @@ def _decay_and_noise(s: F64, lay: I64, par: F64) -> None:
         P[start + 2, start + 2] += psd_down * q
     if lay[L_BARO] >= 0:
         P[lay[L_BARO], lay[L_BARO]] += par[BARO_PSD] * T
-    # Vibration is rectified and aliased by every accelerometer, in proportion to its strength.
-    qv = (par[ACCEL_PSD] + par[VIBRATION_GAIN] * s[VIBRATION]) * T + s[SUM_XV]
-    qa = par[GYRO_PSD] * T + s[SUM_XA]
+    qv = velocity_noise(s, par)
+    qa = np.empty(6)
+    attitude_noise(s, par, qa)
+    at = 0
     for i in range(3):
         P[POS + i, POS + i] += qv * T * T / 3.0
         P[POS + i, VEL + i] += 0.5 * qv * T
         P[VEL + i, POS + i] += 0.5 * qv * T
         P[VEL + i, VEL + i] += qv
-        P[ATT + i, ATT + i] += qa
-    if par[GYRO_VIBRATION_GAIN] > 0.0:
-        # Engines and roads shake a vehicle about one axis more than about another, so each gyro
-        # has a noise of its own: C_nb diag(q) C_nbᵀ T, with the mean of C_nb over the interval.
-        for i in range(3):
-            for j in range(i + 1):
-                q = 0.0
-                for k in range(3):
-                    q += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
-                q *= par[GYRO_VIBRATION_GAIN] / T
-                P[ATT + i, ATT + j] += q
-                if i != j:
-                    P[ATT + j, ATT + i] += q
+        for j in range(i, 3):
+            P[ATT + i, ATT + j] += qa[at]
+            if i != j:
+                P[ATT + j, ATT + i] += qa[at]
+            at += 1
 
 
 @njit("b1(f8[::1], i8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1])", cache=True)

@@ -17,7 +17,7 @@ from companion.estimation import parameters as par
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.phases import Phase, Setup
-from companion.estimation.recording import Recording, nothing
+from companion.estimation.recording import Recording, Tape, nothing
 from companion.estimation.update import REPORT_SIZE
 from companion.navigation import layout as lo
 from companion.types import NS, Event, Mode
@@ -45,7 +45,12 @@ class ErrorStateFilter:
         return int(k[lo.T_IMU]), int(k[lo.T_NOW])
 
     def rewind(self, t: int) -> None:
-        """Forget everything that happened at ``t`` or later."""
+        """Forget everything that happened at ``t`` or later.
+
+        Not in a recorded run: its tape goes one way.
+        """
+        if self.setup.recorded:
+            raise AssertionError("late aiding in a recorded run")
         while len(self.phases) > 1 and self.phases[-1].start_ns >= t:
             self.phases.pop()
         phase = self.phases[-1]
@@ -56,6 +61,17 @@ class ErrorStateFilter:
         phase.checks = [c for c in phase.checks if c.t_ns <= imu_time] or phase.checks[:1]
         self.rows.end = self.rows.after(imu_time)
         self.events = [e for e in self.events if e.t_ns <= imu_time]
+
+    def tapes(self) -> list[Tape]:
+        """What was recorded, a tape for each stretch without a declared break; closes them."""
+        found: list[Tape] = []
+        for phase in self.phases:
+            best = phase.checks[-1].best if phase.mode is Mode.HEADING_UNKNOWN else 0
+            for f in phase.filters[best : best + 1]:
+                if f.tape is not None:
+                    f.tape.cut(f.s, f.k)
+                    found.append(f.tape)
+        return found
 
     # ------------------------------------------------------------------ walking
 

@@ -95,6 +95,7 @@ class Setup:
         ring_ns = round(config.engine.delay_ring_s * NS)
         self.slots = ring_ns // int(self.ipar[par.SNAPSHOT_NS]) + 3
         self._record = record
+        self.recorded = record != "no"
 
     def covariance(self, s: F64) -> F64:
         """P (n, n) inside a float state, as a view."""
@@ -104,6 +105,6 @@ class Setup:
     def new_filter(self, s: F64, k: I64) -> Filter:
         """A filter that begins at a state, with a tape of its own where the run is recorded."""
         tape = None
-        if self._record != "no":
+        if self.recorded:
             tape = Tape(self.layout.n, self._record == "covariance")
         return Filter.start(s, k, self.slots, tape)

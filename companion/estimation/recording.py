@@ -17,6 +17,7 @@ STEPS_OF_CHUNK = 3000
 chunk, so that rounding does not travel far; P is small against that much tape."""
 NOMINAL = w.O_COV
 """Columns of an output row that a smoother corrects: all before the covariance."""
+_KEPT = [*range(NOMINAL), w.O_MODE, w.O_RESETS]
 
 Recording = Literal["no", "states", "covariance"]
 """Whether a filter leaves a tape, and whether with P at the output rows."""
@@ -36,7 +37,13 @@ class Chunk:
     t_ns: I64
     """(rows,) of the output rows marked on the tape."""
     nominal: F64
-    """(rows, NOMINAL) the forward solution there."""
+    """(rows, NOMINAL) the forward solution there, by the first ``O_`` columns of walk.py."""
+    mode: I64
+    """(rows,)."""
+    resets: I64
+    """(rows,)."""
+    widened: bool
+    """P at the start was made larger than at the end of the chunk before."""
 
 
 @dataclass(slots=True)
@@ -53,6 +60,7 @@ class Tape:
     _coarse: tp.F32 = field(default_factory=lambda: np.zeros(0, np.float32))
     _fine: F64 = field(default_factory=lambda: np.zeros(0))
     _rows: list[tuple[I64, F64]] = field(default_factory=list)
+    _widened: bool = False
 
     def begin(self, s: F64, k: I64) -> None:
         """Start a chunk from the filter's state."""
@@ -64,23 +72,24 @@ class Tape:
         """The tape for a kernel, with room for so many more records."""
         at = k[lo.TAPE_AT : lo.TAPE_AT + 4]
         triangle = self.n * (self.n + 1) // 2 if self.covariance else 0
-        step = tp.C_SUMS + tp.SUMS_WITH_SCALE
         self._kinds = _grown(self._kinds, int(at[tp.KIND]) + steps + 2 * updates + rows)
         self._coarse = _grown(
-            self._coarse, int(at[tp.COARSE]) + step * steps + self.n * updates + triangle * rows
+            self._coarse, int(at[tp.COARSE]) + tp.C_STEP * steps + triangle * rows
         )
-        self._fine = _grown(self._fine, int(at[tp.FINE]) + (self.n + 5) * updates)
+        numbers = tp.F_STEP_WITH_SCALE * steps + (tp.F_GAIN + 2 * self.n + tp.F_TURN) * updates
+        self._fine = _grown(self._fine, int(at[tp.FINE]) + numbers)
         return self._kinds, self._coarse, self._fine, at
 
     def wrote(self, t_ns: I64, rows: F64, s: F64, k: I64) -> None:
         """Take the output rows of a walk, and close the chunk when it is long enough."""
         if len(t_ns):
-            self._rows.append((t_ns.copy(), rows[:, :NOMINAL].copy()))
+            self._rows.append((t_ns.copy(), rows[:, _KEPT]))
         if k[lo.TAPE_AT + tp.KIND] > 2 * STEPS_OF_CHUNK:
             self.cut(s, k)
 
-    def cut(self, s: F64, k: I64) -> None:
+    def cut(self, s: F64, k: I64, widened: bool = False) -> None:
         """Close the running chunk and begin the next from ``s``, where P may have been widened."""
+        rows = np.concatenate([r for _, r in self._rows] or [np.zeros((0, NOMINAL + 2))])
         kinds, coarse, fine = (int(x) for x in k[lo.TAPE_AT : lo.TAPE_AT + 3])
         self.chunks.append(
             Chunk(
@@ -89,10 +98,13 @@ class Tape:
                 self._coarse[:coarse].copy(),
                 self._fine[:fine].copy(),
                 np.concatenate([t for t, _ in self._rows] or [np.zeros(0, np.int64)]),
-                np.concatenate([r for _, r in self._rows] or [np.zeros((0, NOMINAL))]),
+                rows[:, :NOMINAL].copy(),
+                rows[:, NOMINAL].astype(np.int64),
+                rows[:, NOMINAL + 1].astype(np.int64),
+                self._widened,
             )
         )
-        self._rows = []
+        self._rows, self._widened = [], widened
         self.begin(s, k)
 
 

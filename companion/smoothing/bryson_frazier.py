@@ -20,16 +20,19 @@ from numba import njit
 
 from companion.estimation.covariance import apply_transition
 from companion.estimation.tape import (
-    C_SUMS,
-    C_T,
+    C_STEP,
     F32,
+    F_GAIN,
+    F_R,
+    F_STEP,
+    F_STEP_WITH_SCALE,
+    F_TURN,
+    F_Y,
     I8,
-    ROW,
     STEP,
-    SUMS,
-    SUMS_WITH_SCALE,
     TURN,
     UPDATE,
+    read_h,
     read_step,
 )
 from companion.navigation.error_model import transition_blocks
@@ -93,7 +96,7 @@ def backward(
     """
     n = lay[L_N]
     i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d = np.empty(n)
     out = np.empty((n, 1))
@@ -105,10 +108,11 @@ def backward(
         kind = kinds[i]
         if kind == STEP:
             m -= 1
-            c -= size
-            read_step(coarse[c : c + size], lay, s)
+            c -= C_STEP
+            f -= size
+            read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
-            decay_factors(float(coarse[c + C_T]), lay, par, d)
+            decay_factors(fine[f], lay, par, d)
             for j in range(n):
                 steps[m, j] = lam[j, 0]
                 lam[j, 0] *= d[j]
@@ -119,19 +123,19 @@ def backward(
                 for j in range(3):
                     lam[i_sa + j, 0] = out[i_sa + j, 0]
                     lam[i_sg + j, 0] = out[i_sg + j, 0]
-        elif kind == UPDATE:
-            c -= n
-            f -= n + 2
-            r, y = fine[f + n], fine[f + n + 1]
-            g = r * y
+        elif kind >= UPDATE:
+            f -= F_GAIN + n + kind - UPDATE
+            r = fine[f + F_R]
+            g = r * fine[f + F_Y]
             for j in range(n):
-                g += fine[f + j] * lam[j, 0]
+                g += fine[f + F_GAIN + j] * lam[j, 0]
             g *= r
+            read_h(fine[f:], n, d)
             for j in range(n):
-                lam[j, 0] -= coarse[c + j] * g
+                lam[j, 0] -= d[j] * g
         elif kind == TURN:
-            f -= 3
-            turn_transposed(lam, fine[f : f + 3], ATT, 1)
+            f -= F_TURN
+            turn_transposed(lam, fine[f : f + F_TURN], ATT, 1)
         else:
             c -= triangle
 
@@ -160,7 +164,7 @@ def forward(
     """
     n = lay[L_N]
     i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d, q = np.empty(n), np.empty(n)
     out = np.empty((9, 1))
@@ -169,37 +173,37 @@ def forward(
     for i in range(kinds.shape[0]):
         kind = kinds[i]
         if kind == STEP:
-            numbers = coarse[c : c + size]
-            read_step(numbers, lay, s)
+            numbers, T = coarse[c : c + C_STEP], fine[f]
+            read_step(numbers, fine[f : f + size], s)
             transition_blocks(s, B)
-            decay_factors(float(numbers[C_T]), lay, par, d)
-            noise_diagonal(numbers, lay, par, d, q)
+            decay_factors(T, lay, par, d)
+            noise_diagonal(numbers, T, lay, par, d, q)
             apply_transition(B, i_sa, i_sg, dx, 1, out)
             for j in range(9):
                 x[j] = out[j, 0]
             for j in range(9, n):
                 x[j] *= d[j]
-            subtract_noise(numbers, q, steps[m], x)
-            c += size
+            subtract_noise(numbers, T, q, steps[m], x)
+            c += C_STEP
+            f += size
             m += 1
-        elif kind == UPDATE:
-            y = fine[f + n] * fine[f + n + 1]
+        elif kind >= UPDATE:
+            y = fine[f + F_R] * fine[f + F_Y]
             for j in range(n):
-                x[j] -= fine[f + j] * y
-            c += n
-            f += n + 2
+                x[j] -= fine[f + F_GAIN + j] * y
+            f += F_GAIN + n + kind - UPDATE
         elif kind == TURN:
-            turn(x, fine[f : f + 3], ATT)
-            f += 3
-        elif kind == ROW:
+            turn(x, fine[f : f + F_TURN], ATT)
+            f += F_TURN
+        else:
             for j in range(n):
                 rows[row, j] = x[j]
             row += 1
             c += triangle
 
 
-@njit("void(f8[:, ::1], f8[::1], f4[::1], f8[::1], f8, i8)", cache=True)
-def _information_of_update(Lam: F64, w: F64, H: F32, gain: F64, r: float, n: int) -> None:
+@njit("void(f8[:, ::1], f8[::1], f8[::1], f8[::1], f8, i8)", cache=True)
+def _information_of_update(Lam: F64, w: F64, H: F64, gain: F64, r: float, n: int) -> None:
     """``Lam`` ← Hᵀ r² H + (I − K H)ᵀ Lam (I − K H) with K = ``gain`` r; ``w`` (n,) is scratch."""
     kwk = r * r
     for i in range(n):
@@ -209,7 +213,7 @@ def _information_of_update(Lam: F64, w: F64, H: F32, gain: F64, r: float, n: int
         w[i] = x * r
         kwk += w[i] * gain[i] * r
     for i in range(n):
-        h = float(H[i])
+        h = H[i]
         if h != 0.0:
             for j in range(n):
                 Lam[i, j] += h * (0.5 * kwk * H[j] - w[j])
@@ -263,7 +267,7 @@ def backward_covariance(
     """
     n = lay[L_N]
     i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d, w = np.empty(n), np.empty(n)
     X, Y = np.empty((n, n)), np.empty((n, n))
@@ -271,10 +275,11 @@ def backward_covariance(
     for i in range(kinds.shape[0] - 1, -1, -1):
         kind = kinds[i]
         if kind == STEP:
-            c -= size
-            read_step(coarse[c : c + size], lay, s)
+            c -= C_STEP
+            f -= size
+            read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
-            decay_factors(float(coarse[c + C_T]), lay, par, d)
+            decay_factors(fine[f], lay, par, d)
             for j in range(n):
                 for k in range(n):
                     Lam[j, k] *= d[j] * d[k]
@@ -288,17 +293,17 @@ def backward_covariance(
             for j in range(n):
                 for k in range(j):
                     Lam[j, k] = Lam[k, j]
-        elif kind == UPDATE:
-            c -= n
-            f -= n + 2
-            _information_of_update(Lam, w, coarse[c : c + n], fine[f : f + n], fine[f + n], n)
+        elif kind >= UPDATE:
+            f -= F_GAIN + n + kind - UPDATE
+            read_h(fine[f:], n, d)
+            _information_of_update(Lam, w, d, fine[f + F_GAIN : f + F_GAIN + n], fine[f + F_R], n)
         elif kind == TURN:
-            f -= 3
-            turn_transposed(Lam, fine[f : f + 3], ATT, n)
+            f -= F_TURN
+            turn_transposed(Lam, fine[f : f + F_TURN], ATT, n)
             for j in range(n):
                 for k in range(n):
                     X[j, k] = Lam[k, j]
-            turn_transposed(X, fine[f : f + 3], ATT, n)
+            turn_transposed(X, fine[f : f + F_TURN], ATT, n)
             for j in range(n):
                 for k in range(n):
                     Lam[j, k] = X[k, j]

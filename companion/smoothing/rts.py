@@ -16,36 +16,42 @@ from numba import njit
 
 from companion.estimation.covariance import apply_transition
 from companion.estimation.tape import (
-    C_NOISE_V,
-    C_SUMS,
-    C_T,
+    C_STEP,
     F32,
+    F_GAIN,
+    F_R,
+    F_STEP,
+    F_STEP_WITH_SCALE,
+    F_TURN,
+    F_Y,
     I8,
-    ROW,
     STEP,
-    SUMS,
-    SUMS_WITH_SCALE,
     TURN,
     UPDATE,
     read_step,
 )
 from companion.estimation.update import reset_covariance
 from companion.navigation.error_model import transition_blocks
-from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_GYRO_SCALE, L_N, POS, VEL
-from companion.smoothing.transition import decay_factors, noise_diagonal
+from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_GYRO_SCALE, L_N
+from companion.smoothing.transition import add_noise, decay_factors, noise_diagonal
 from companion.types import F64, I64
 
 
 @njit("b1(f8[:, ::1], f8[:, ::1], i8)", cache=True)
 def factor(A: F64, L: F64, n: int) -> bool:
-    """Lower Cholesky factor of ``A`` in ``L``; False where ``A`` is not positive definite."""
+    """Lower Cholesky factor of ``A`` in ``L``; False where ``A`` is not positive definite.
+
+    A state without any variance is known: its row and column of ``L`` are zero.
+    """
     for i in range(n):
         for j in range(i + 1):
             x = A[i, j]
             for k in range(j):
                 x -= L[i, k] * L[j, k]
             if i > j:
-                L[i, j] = x / L[j, j]
+                L[i, j] = x / L[j, j] if L[j, j] > 0.0 else 0.0
+            elif A[i, i] == 0.0:
+                L[i, i] = 0.0
             elif x > 0.0:
                 L[i, i] = math.sqrt(x)
             else:
@@ -55,21 +61,21 @@ def factor(A: F64, L: F64, n: int) -> bool:
 
 @njit("void(f8[:, ::1], f8[:, ::1], i8)", cache=True)
 def solve(L: F64, X: F64, n: int) -> None:
-    """``X`` (n, n) ← (L Lᵀ)⁻¹ X in place."""
+    """``X`` (n, n) ← (L Lᵀ)⁻¹ X in place, zero for states that are known."""
     for i in range(n):
         for k in range(i):
             g = L[i, k]
             for j in range(n):
                 X[i, j] -= g * X[k, j]
         for j in range(n):
-            X[i, j] /= L[i, i]
+            X[i, j] = X[i, j] / L[i, i] if L[i, i] > 0.0 else 0.0
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
             g = L[k, i]
             for j in range(n):
                 X[i, j] -= g * X[k, j]
         for j in range(n):
-            X[i, j] /= L[i, i]
+            X[i, j] = X[i, j] / L[i, i] if L[i, i] > 0.0 else 0.0
 
 
 @njit(
@@ -97,7 +103,7 @@ def covariances(
     """
     n = lay[L_N]
     i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    size = C_SUMS + (SUMS_WITH_SCALE if i_sa >= 0 else SUMS)
+    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d, q, dx = np.empty(n), np.empty(n), np.zeros(n)
     X, Y = np.empty((n, n)), np.empty((9, n))
@@ -105,12 +111,11 @@ def covariances(
     for i in range(kinds.shape[0]):
         kind = kinds[i]
         if kind == STEP:
-            numbers = coarse[c : c + size]
-            read_step(numbers, lay, s)
+            numbers, T = coarse[c : c + C_STEP], fine[f]
+            read_step(numbers, fine[f : f + size], s)
             transition_blocks(s, B)
-            T = float(numbers[C_T])
             decay_factors(T, lay, par, d)
-            noise_diagonal(numbers, lay, par, d, q)
+            noise_diagonal(numbers, T, lay, par, d, q)
             apply_transition(B, i_sa, i_sg, P, n, Y)
             for j in range(n):
                 for k in range(n):
@@ -127,30 +132,27 @@ def covariances(
             for j in range(9):
                 for k in range(n):
                     X[j, k] = Y[j, k]
-            cross = 0.5 * float(numbers[C_NOISE_V]) * T
             for j in range(n):
                 for k in range(j, n):
                     P[j, k] = P[k, j] = X[j, k] * d[j]
-                P[j, j] += q[j]
-            for j in range(3):
-                P[POS + j, VEL + j] += cross
-                P[VEL + j, POS + j] += cross
+            add_noise(numbers, T, q, P)
             for j in range(n):
                 for k in range(n):
                     foreseen[m, j, k] = P[j, k]
             m += 1
-            c += size
-        elif kind == UPDATE:
+            c += C_STEP
+            f += size
+        elif kind >= UPDATE:
+            gain = fine[f + F_GAIN : f + F_GAIN + n]
             for j in range(n):
                 for k in range(n):
-                    P[j, k] -= fine[f + j] * fine[f + k]
-            c += n
-            f += n + 2
+                    P[j, k] -= gain[j] * gain[k]
+            f += F_GAIN + n + kind - UPDATE
         elif kind == TURN:
             for j in range(3):
                 dx[ATT + j] = fine[f + j]
             reset_covariance(P, dx, n)
-            f += 3
+            f += F_TURN
         else:
             c += triangle
 
@@ -234,7 +236,7 @@ def backward(
     rows. False where a P⁻ is not positive definite.
     """
     n = lay[L_N]
-    size = C_SUMS + (SUMS_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else SUMS)
+    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     L, D = np.empty((n, n)), np.empty((n, n))
     t = np.empty(n)
     c, f = coarse.shape[0], fine.shape[0]
@@ -246,7 +248,8 @@ def backward(
         kind = kinds[i]
         if kind == STEP:
             m -= 1
-            c -= size
+            c -= C_STEP
+            f -= size
             if not factor(foreseen[m], L, n):
                 return False
             A = gains[m]  # D Φ P, becomes Cᵀ
@@ -262,16 +265,15 @@ def backward(
             for j in range(n):
                 dx[j] = t[j]
             _smooth_covariance(A, D, before[m], Ps, L, n)
-        elif kind == UPDATE:
-            c -= n
-            f -= n + 2
-            y = fine[f + n] * fine[f + n + 1]
+        elif kind >= UPDATE:
+            f -= F_GAIN + n + kind - UPDATE
+            y = fine[f + F_R] * fine[f + F_Y]
             for j in range(n):
-                dx[j] += fine[f + j] * y
+                dx[j] += fine[f + F_GAIN + j] * y
         elif kind == TURN:
-            f -= 3
-            _turn_back(dx, Ps, fine[f : f + 3], n)
-        elif kind == ROW:
+            f -= F_TURN
+            _turn_back(dx, Ps, fine[f : f + F_TURN], n)
+        else:
             row -= 1
             c -= triangle
             for j in range(n):

@@ -20,7 +20,7 @@ from companion.estimation.parameters import (
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
 )
-from companion.estimation.tape import C_NOISE_A, C_NOISE_V, C_T, F32
+from companion.estimation.tape import C_NOISE_A, C_NOISE_V, F32
 from companion.navigation.layout import (
     ACCEL_BIAS,
     ATT,
@@ -92,10 +92,9 @@ def decay_factors(T: float, lay: I64, par: F64, d: F64) -> None:
                 d[start + i] = math.exp(-T / tau)
 
 
-@njit("void(f4[::1], i8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
-def noise_diagonal(c: F32, lay: I64, par: F64, d: F64, q: F64) -> None:
-    """``q`` (n,): diagonal of Q behind position and velocity, from a step's numbers and D."""
-    T = float(c[C_T])
+@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
+def noise_diagonal(c: F32, T: float, lay: I64, par: F64, d: F64, q: F64) -> None:
+    """``q`` (n,): diagonal of Q but for attitude, from a step's numbers, its length and D."""
     q[:] = 0.0
     for start, tau, psd, psd_down in (
         (ACCEL_BIAS, par[ACCEL_BIAS_TAU], par[ACCEL_BIAS_PSD], par[ACCEL_BIAS_PSD]),
@@ -111,15 +110,37 @@ def noise_diagonal(c: F32, lay: I64, par: F64, d: F64, q: F64) -> None:
     for i in range(3):
         q[POS + i] = c[C_NOISE_V] * T * T / 3.0
         q[VEL + i] = c[C_NOISE_V]
-        q[ATT + i] = c[C_NOISE_A]
 
 
-@njit("void(f4[::1], f8[::1], f8[::1], f8[::1])", cache=True)
-def subtract_noise(c: F32, q: F64, lam: F64, x: F64) -> None:
-    """``x`` ← ``x`` − Q ``lam``, Q with its position-velocity cross terms."""
-    cross = 0.5 * float(c[C_NOISE_V]) * float(c[C_T])
+@njit("void(f4[::1], f8, f8[::1], f8[::1], f8[::1])", cache=True)
+def subtract_noise(c: F32, T: float, q: F64, lam: F64, x: F64) -> None:
+    """``x`` ← ``x`` − Q ``lam``, Q with the position-velocity terms and that of attitude."""
+    cross = 0.5 * float(c[C_NOISE_V]) * T
     for i in range(x.shape[0]):
         x[i] -= q[i] * lam[i]
+    at = C_NOISE_A
     for i in range(3):
         x[POS + i] -= cross * lam[VEL + i]
         x[VEL + i] -= cross * lam[POS + i]
+        for j in range(i, 3):
+            x[ATT + i] -= c[at] * lam[ATT + j]
+            if i != j:
+                x[ATT + j] -= c[at] * lam[ATT + i]
+            at += 1
+
+
+@njit("void(f4[::1], f8, f8[::1], f8[:, ::1])", cache=True)
+def add_noise(c: F32, T: float, q: F64, P: F64) -> None:
+    """``P`` ← ``P`` + Q."""
+    cross = 0.5 * float(c[C_NOISE_V]) * T
+    for i in range(P.shape[0]):
+        P[i, i] += q[i]
+    at = C_NOISE_A
+    for i in range(3):
+        P[POS + i, VEL + i] += cross
+        P[VEL + i, POS + i] += cross
+        for j in range(i, 3):
+            P[ATT + i, ATT + j] += c[at]
+            if i != j:
+                P[ATT + j, ATT + i] += c[at]
+            at += 1

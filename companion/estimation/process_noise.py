@@ -1,0 +1,52 @@
+"""Noise of an inertial unit over one covariance interval, from the sums of the interval."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from companion.estimation.parameters import (
+    ACCEL_PSD,
+    GYRO_PSD,
+    GYRO_VIBRATION_GAIN,
+    VIBRATION_GAIN,
+)
+from companion.navigation.layout import (
+    GYRO_VIBRATION,
+    SUM_C,
+    SUM_T,
+    SUM_XA,
+    SUM_XV,
+    VIBRATION,
+)
+from companion.types import F64
+
+
+@njit("f8(f8[::1], f8[::1])", cache=True)
+def velocity_noise(s: F64, par: F64) -> float:
+    """Variance that each component of velocity gains [m²/s²].
+
+    Vibration is rectified and aliased by every accelerometer, in proportion to its strength.
+    """
+    psd = par[ACCEL_PSD] + par[VIBRATION_GAIN] * s[VIBRATION]
+    return float(psd * s[SUM_T] + s[SUM_XV])
+
+
+@njit("void(f8[::1], f8[::1], f8[::1])", cache=True)
+def attitude_noise(s: F64, par: F64, q: F64) -> None:
+    """``q`` (6,): covariance that φ gains [rad²], as xx, xy, xz, yy, yz, zz.
+
+    Engines and roads shake a vehicle about one axis more than about another, so each gyro has a
+    noise of its own: C_nb diag(q) C_nbᵀ T, with the mean of C_nb over the interval.
+    """
+    T = s[SUM_T]
+    even = par[GYRO_PSD] * T + s[SUM_XA]
+    at = 0
+    for i in range(3):
+        for j in range(i, 3):
+            x = 0.0
+            if par[GYRO_VIBRATION_GAIN] > 0.0:
+                for k in range(3):
+                    x += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
+                x *= par[GYRO_VIBRATION_GAIN] / T
+            q[at] = x + (even if i == j else 0.0)
+            at += 1

@@ -1,0 +1,142 @@
+"""Off-line smoothing of a recorded run: tapes in, a smoothed solution out.
+
+A chunk at a time from the end: the tape is read backwards, then the smoothed error forwards. A
+stretch between two declared breaks is smoothed by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numba import njit
+
+from companion.config import Config
+from companion.estimation import parameters as par
+from companion.estimation import walk as w
+from companion.estimation.recording import Chunk, Tape
+from companion.estimation.tape import STEP
+from companion.navigation import layout as lo
+from companion.navigation.error_model import box_plus
+from companion.smoothing import bryson_frazier, rts
+from companion.types import F64, I64, CompanionError, Solution
+
+Method = Literal["bryson-frazier", "rts"]
+METHODS: tuple[Method, ...] = ("bryson-frazier", "rts")
+
+
+class SmoothingError(CompanionError):
+    """A tape that cannot be smoothed; the forward solution stands."""
+
+
+def smooth(tapes: Sequence[Tape], config: Config, method: Method = "bryson-frazier") -> Solution:
+    """The smoothed solution at the output rows of ``tapes``, in order of time.
+
+    Covariances are NaN for tapes recorded without them, but for ``rts``, which has them anyway.
+    Raises :class:`SmoothingError` where a covariance on the tape cannot be inverted (``rts``).
+    """
+    one = _Smoother(config)
+    parts = [
+        part
+        for tape in tapes
+        for part in (one.rts(tape) if method == "rts" else one.bryson_frazier(tape))
+    ]
+    return Solution.concatenate([p for p in parts if len(p)])
+
+
+class _Smoother:
+    """Layout, parameters and scratch shared by all tapes of a run."""
+
+    def __init__(self, config: Config) -> None:
+        layout = par.layout(config)
+        self.n = layout.n
+        self.lay = layout.vector()
+        self.par = par.parameter_vector(config)
+
+    def bryson_frazier(self, tape: Tape) -> list[Solution]:
+        n = self.n
+        lam, Lam = np.zeros((n, 1)), np.zeros((n, n))
+        parts: list[Solution] = []
+        for chunk in reversed(tape.chunks):
+            triangle = n * (n + 1) // 2 if tape.covariance else 0
+            s = chunk.s.copy()
+            columns = (chunk.kinds, chunk.coarse, chunk.fine, triangle, self.lay, self.par, s)
+            steps = np.empty((int(np.count_nonzero(chunk.kinds == STEP)), n))
+            rows = np.empty((len(chunk.t_ns), n))
+            cov = np.full((len(rows), 5, 6), np.nan)
+            bryson_frazier.backward(*columns, lam, steps)
+            P = chunk.s[lo.P :].reshape(n, n)
+            bryson_frazier.forward(*columns, -(P[:, :, None] * lam).sum(axis=1), steps, rows)
+            if tape.covariance:
+                bryson_frazier.backward_covariance(*columns, Lam, cov)
+            parts.append(self._corrected(chunk, rows, cov))
+        return parts[::-1]
+
+    def rts(self, tape: Tape) -> list[Solution]:
+        n = self.n
+        triangle = n * (n + 1) // 2 if tape.covariance else 0
+        dx = np.zeros(n)
+        Ps: F64 | None = None
+        after: Chunk | None = None
+        parts: list[Solution] = []
+        for chunk in reversed(tape.chunks):
+            count = int(np.count_nonzero(chunk.kinds == STEP))
+            before, foreseen, gains = (np.empty((count, n, n)) for _ in range(3))
+            columns = (chunk.kinds, chunk.coarse, chunk.fine, triangle, self.lay)
+            P = chunk.s[lo.P :].reshape(n, n).copy()
+            rts.covariances(*columns, self.par, chunk.s.copy(), P, before, foreseen, gains)
+            if Ps is None or after is None:
+                Ps = P
+            elif after.widened:
+                wide = after.s[lo.P :].reshape(n, n)
+                C = np.linalg.solve(wide, P).T
+                dx, Ps = C @ dx, P + C @ (Ps - wide) @ C.T
+            rows, cov = np.empty((len(chunk.t_ns), n)), np.empty((len(chunk.t_ns), n, n))
+            if not rts.backward(*columns, before, foreseen, gains, dx, Ps, rows, cov):
+                raise SmoothingError("a covariance on the tape is not positive definite")
+            i, j = np.triu_indices(3)
+            published = np.stack([cov[:, 3 * b + i, 3 * b + j] for b in range(5)], axis=1)
+            parts.append(self._corrected(chunk, rows, published))
+            after = chunk
+        return parts[::-1]
+
+    def _corrected(self, chunk: Chunk, dx: F64, cov: F64) -> Solution:
+        """Forward solution ⊞ smoothed error at the rows of a chunk."""
+        out = chunk.nominal.copy()
+        correct(out, dx, self.lay)
+        return Solution(
+            t_ns=chunk.t_ns,
+            lat=out[:, w.O_LAT],
+            lon=out[:, w.O_LAT + 1],
+            height=out[:, w.O_LAT + 2],
+            vel_n=out[:, w.O_VEL : w.O_VEL + 3],
+            q_nb=out[:, w.O_Q : w.O_Q + 4],
+            accel_bias_b=out[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3],
+            gyro_bias_b=out[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3],
+            cov=cov,
+            mode=chunk.mode,
+            resets=chunk.resets,
+        )
+
+
+@njit("void(f8[:, ::1], f8[:, ::1], i8[::1])", cache=True)
+def correct(rows: F64, dx: F64, lay: I64) -> None:
+    """``rows`` (N, ≥ 16), by the ``O_`` columns of walk.py, ← rows ⊞ ``dx`` (N, n), in place."""
+    s = np.zeros(lo.DX)
+    for i in range(rows.shape[0]):
+        for j in range(3):
+            s[lo.LAT + j] = rows[i, w.O_LAT + j]
+            s[lo.VEL_N + j] = rows[i, w.O_VEL + j]
+            s[lo.ACCEL_BIAS_B + j] = rows[i, w.O_ACCEL_BIAS + j]
+            s[lo.GYRO_BIAS_B + j] = rows[i, w.O_GYRO_BIAS + j]
+        for j in range(4):
+            s[lo.Q + j] = rows[i, w.O_Q + j]
+        box_plus(s, lay, dx[i])
+        for j in range(3):
+            rows[i, w.O_LAT + j] = s[lo.LAT + j]
+            rows[i, w.O_VEL + j] = s[lo.VEL_N + j]
+            rows[i, w.O_ACCEL_BIAS + j] = s[lo.ACCEL_BIAS_B + j]
+            rows[i, w.O_GYRO_BIAS + j] = s[lo.GYRO_BIAS_B + j]
+        for j in range(4):
+            rows[i, w.O_Q + j] = s[lo.Q + j]
