@@ -1,7 +1,12 @@
-"""Noise of an inertial unit over one covariance interval, from the sums of the interval."""
+"""Noise of an inertial unit over one covariance interval, from the sums of the interval.
+
+Rounded to single precision: seven digits of a noise are plenty, and so a smoother's tape holds what
+the filter used, to the bit.
+"""
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 from companion.estimation.parameters import (
@@ -28,7 +33,7 @@ def velocity_noise(s: F64, par: F64) -> float:
     Vibration is rectified and aliased by every accelerometer, in proportion to its strength.
     """
     psd = par[ACCEL_PSD] + par[VIBRATION_GAIN] * s[VIBRATION]
-    return float(psd * s[SUM_T] + s[SUM_XV])
+    return float(np.float32(psd * s[SUM_T] + s[SUM_XV]))
 
 
 @njit("void(f8[::1], f8[::1], f8[::1])", cache=True)
@@ -48,5 +53,5 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
                 for k in range(3):
                     x += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
                 x *= par[GYRO_VIBRATION_GAIN] / T
-            q[at] = x + (even if i == j else 0.0)
+            q[at] = np.float32(x + (even if i == j else 0.0))
             at += 1

@@ -112,7 +112,7 @@ def backward(
             f -= size
             read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
-            decay_factors(fine[f], lay, par, d)
+            decay_factors(float(fine[f]), lay, par, d)
             for j in range(n):
                 steps[m, j] = lam[j, 0]
                 lam[j, 0] *= d[j]
@@ -279,7 +279,7 @@ def backward_covariance(
             f -= size
             read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
-            decay_factors(fine[f], lay, par, d)
+            decay_factors(float(fine[f]), lay, par, d)
             for j in range(n):
                 for k in range(n):
                     Lam[j, k] *= d[j] * d[k]
