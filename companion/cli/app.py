@@ -260,6 +260,32 @@ def simulate(
     _emit_if(as_json, simulate_scenario(console, scenario, output, seed))
 
 
+@app.command()
+def demo(
+    seconds: Annotated[
+        float, typer.Option("--for", min=5.0, max=3600.0, metavar="SECONDS", help="How long.")
+    ] = 30.0,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Directory for the log and all else that is left.")
+    ] = Path("companion-demo"),
+    imu_rate: Annotated[
+        float, typer.Option(min=50.0, max=1000.0, metavar="HZ", help="Of the simulated CAN IMU.")
+    ] = 200.0,
+    as_json: JsonFlag = False,
+) -> None:
+    """The whole system with no hardware: simulated vehicle, companion, zenoh subscriber.
+
+    Three processes on this machine in real time; CAN frames through an slcan adapter on a
+    pseudo-terminal, MAVLink over UDP. Latency ms, errors m. At the end the log is replayed.
+
+    Example: companion demo --for 30
+    """
+    console = _console(as_json)
+    from companion.cli.demo import run_demo
+
+    _emit_if(as_json, run_demo(console, out, seconds, imu_rate))
+
+
 @app.command(no_args_is_help=True)
 def check(
     config: Annotated[

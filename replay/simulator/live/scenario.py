@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 
 from companion.config import CanBus, CanImu, Config, Log, Mavlink, Zenoh
@@ -45,16 +47,31 @@ def live_scenario(
     )
 
 
-def live_config(scenario: Scenario, mavlink: str, can: str | None, zenoh_listen: str) -> Config:
+def _receiver(spec: GnssSpec) -> dict[str, Any]:
+    """Its error told apart into the white and the slow part, as the simulator makes it."""
+    return {
+        "sd_position_m": spec.sd_position_m,
+        "sd_height_m": spec.sd_height_m,
+        "slow_error_sd_m": spec.correlated_sd_position_m,
+        "slow_error_height_sd_m": spec.correlated_sd_height_m,
+        "slow_error_tau_s": spec.correlated_tau_s,
+        "sd_reported": "ignore",  # it reports both parts together
+    }
+
+
+def live_config(
+    scenario: Scenario, mavlink: str, can: str | None, zenoh_listen: str, directory: str = "."
+) -> Config:
     """The companion's configuration beside a vehicle that flies ``scenario``.
 
     ``mavlink`` and ``zenoh_listen`` are endpoints, ``can`` the adapter's device or None for the
-    autopilot's IMU alone.
+    autopilot's IMU alone; runs are logged in ``directory``.
     """
     own = next(imu for imu in scenario.imu if (imu.source == CAN_SOURCE) == (can is not None))
     base = matching_config(msgspec.structs.replace(scenario, imu=(own,)))
     # A unit that never sends the time of its samples is as late as its frames are.
     late_ms = own.latency_ms + (CAN_LATENCY_MS if can is not None else 0.0)
+    receiver = scenario.gnss[0]
     unit = CanImu(name=CAN_SOURCE, protocol="dronecan", node_id=NODE_ID, rate_hz=own.rate_hz)
     bus = CanBus(
         channel=can or "",
@@ -66,7 +83,8 @@ def live_config(scenario: Scenario, mavlink: str, can: str | None, zenoh_listen:
         base,
         imu=replace(base.imu, source=CAN_SOURCE if can else "auto", latency_ms=late_ms),
         can=(bus,) if can else (),
-        mavlink=Mavlink(endpoint=mavlink),
+        gnss=replace(base.gnss, **_receiver(receiver)),
+        mavlink=Mavlink(endpoint=mavlink, gnss_rate_hz=receiver.rate_hz),
         zenoh=Zenoh(listen=(zenoh_listen,)),
-        log=Log(directory="."),
+        log=Log(directory=directory),
     )
