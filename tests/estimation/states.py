@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
+from companion.config import Config
+from companion.estimation import parameters as par
+from companion.estimation.covariance import propagate
 from companion.navigation import earth
 from companion.navigation import layout as lo
 from companion.navigation.earth import ned_difference
+from companion.navigation.error_model import COLUMNS, transition_blocks
+from companion.navigation.mechanisation import advance
 from companion.navigation.rotation import attitude_error_n, quat_from_rpy
 from companion.types import F64
 
@@ -60,3 +67,40 @@ def box_minus(a: F64, b: F64, layout: lo.Layout = CORE) -> F64:
         if at >= 0:
             out[at : at + size] = a[offset : offset + size] - b[offset : offset + size]
     return out
+
+
+def fly(s: F64, imu: F64, dt: float, integral: bool = False) -> None:
+    """The strapdown kernel over the intervals between the rows of ``imu`` (N, 6)."""
+    C = np.empty((3, 3))
+    for a, b in pairwise(imu):
+        advance(s, a, b, dt, integral, True, C)
+
+
+def samples(rng: np.random.Generator, count: int) -> F64:
+    """Rates near 0.5 rad/s and forces near weight that vary slowly between samples."""
+    base = np.concatenate([rng.normal(0, 0.4, 3), rng.normal([0, 0, -9.8], 2)])
+    return base + np.cumsum(rng.normal(0, 0.01, (count, 6)), axis=0)
+
+
+def dense(s: F64, layout: lo.Layout) -> F64:
+    """Φ (n, n) of the running interval of ``s``; identity in the slow states."""
+    B = np.zeros((24, 3, 3))
+    transition_blocks(s, B)
+    phi = np.eye(layout.n)
+    offsets = [0, 3, 6, 9, 12, layout.accel_scale, layout.gyro_scale]
+    for r in range(3):
+        for c, at in enumerate(offsets):
+            if at >= 0:
+                phi[3 * r : 3 * r + 3, at : at + 3] = B[COLUMNS * r + c]
+    return phi
+
+
+def close_interval(s: F64, layout: lo.Layout, config: Config) -> bool:
+    """Propagate the covariance over the running interval; False if it broke."""
+    n = layout.n
+    return bool(
+        propagate(
+            s, layout.vector(), par.parameter_vector(config), np.empty((24, 3, 3)),
+            np.empty((9 + n, n)),
+        )
+    )  # fmt: skip

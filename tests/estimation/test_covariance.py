@@ -3,50 +3,33 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from companion.config import Config, Imu
 from companion.estimation import parameters as par
-from companion.estimation.covariance import propagate
 from companion.navigation import layout as lo
-from companion.navigation.error_model import COLUMNS, box_plus, transition_blocks
+from companion.navigation.error_model import box_plus
 from companion.navigation.mechanisation import advance
 from companion.types import F64
 
-from .states import ALL, CORE, box_minus, covariance, random_state
+from .states import (
+    ALL,
+    CORE,
+    box_minus,
+    close_interval,
+    covariance,
+    dense,
+    fly,
+    random_state,
+    samples,
+)
 
 USED = np.array([[1, 1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1, 1], [0, 1, 1, 0, 1, 0, 1]], dtype=bool)
 """Which blocks of the rows p, v, φ exist."""
 STEP = np.repeat([10.0, 1e-2, 1e-4, 1e-3, 1e-4], 3)
 """Half width of the differences: far above rounding, far below any curvature."""
-
-
-def _fly(s: F64, imu: F64, dt: float, integral: bool = False) -> None:
-    C = np.empty((3, 3))
-    for a, b in pairwise(imu):
-        advance(s, a, b, dt, integral, True, C)
-
-
-def _samples(rng: np.random.Generator, count: int) -> F64:
-    """Rates near 0.5 rad/s and forces near weight that vary slowly between samples."""
-    base = np.concatenate([rng.normal(0, 0.4, 3), rng.normal([0, 0, -9.8], 2)])
-    return base + np.cumsum(rng.normal(0, 0.01, (count, 6)), axis=0)
-
-
-def _dense(s: F64, layout: lo.Layout) -> F64:
-    """Φ (n, n) of the running interval of ``s``; identity in the slow states."""
-    B = np.zeros((24, 3, 3))
-    transition_blocks(s, B)
-    phi = np.eye(layout.n)
-    offsets = [0, 3, 6, 9, 12, layout.accel_scale, layout.gyro_scale]
-    for r in range(3):
-        for c, at in enumerate(offsets):
-            if at >= 0:
-                phi[3 * r : 3 * r + 3, at : at + 3] = B[COLUMNS * r + c]
-    return phi
 
 
 def _numeric(s: F64, imu: F64, dt: float, layout: lo.Layout, integral: bool) -> F64:
@@ -61,8 +44,8 @@ def _numeric(s: F64, imu: F64, dt: float, layout: lo.Layout, integral: bool) -> 
         plus, minus = s.copy(), s.copy()
         box_plus(plus, lay, dx)
         box_plus(minus, lay, -dx)
-        _fly(plus, imu, dt, integral)
-        _fly(minus, imu, dt, integral)
+        fly(plus, imu, dt, integral)
+        fly(minus, imu, dt, integral)
         out[:, j] = box_minus(plus, minus, layout) / (2 * step[j])
     return out
 
@@ -76,10 +59,10 @@ def test_transition_is_the_derivative_of_the_mechanisation(
     """All states, the columns of the scale factors with them."""
     rng = np.random.default_rng(seed)
     s = random_state(rng, ALL)
-    imu = _samples(rng, steps + 1)
+    imu = samples(rng, steps + 1)
     end = s.copy()
-    _fly(end, imu, dt, integral)
-    phi = _dense(end, ALL)
+    fly(end, imu, dt, integral)
+    phi = dense(end, ALL)
     numeric = _numeric(s, imu, dt, ALL, integral)
     T = steps * dt
     w, f = (np.abs(part).sum(axis=1).max() for part in (imu[:, :3], imu[:, 3:]))
@@ -113,8 +96,8 @@ def test_a_scale_factor_multiplies_what_was_measured() -> None:
     s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = 0.5
     s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3] = 0.05
     sample = np.array([0.3, -0.2, 0.1, 1.0, -2.0, -9.8])
-    _fly(s, np.tile(sample, (2, 1)), 0.005)
-    phi = _dense(s, ALL)
+    fly(s, np.tile(sample, (2, 1)), 0.005)
+    phi = dense(s, ALL)
     force = phi[3:6, ALL.accel_scale : ALL.accel_scale + 3]
     rates = phi[6:9, ALL.gyro_scale : ALL.gyro_scale + 3]
     assert np.allclose(force, phi[3:6, 9:12] * sample[3:], rtol=1e-12)
@@ -125,22 +108,12 @@ def test_gyro_bias_and_tilt_signs() -> None:
     """A positive accelerometer bias left in makes the estimate too fast: δv = v_true − v falls."""
     s = random_state(np.random.default_rng(0), CORE)
     s[:4] = [1, 0, 0, 0]
-    _fly(s, np.tile([0, 0, 0, 0, 0, -9.8], (5, 1)).astype(float), 0.005)
-    phi = _dense(s, CORE)
+    fly(s, np.tile([0, 0, 0, 0, 0, -9.8], (5, 1)).astype(float), 0.005)
+    phi = dense(s, CORE)
     assert phi[3, 9] == pytest.approx(-0.02, rel=1e-3)
     assert phi[8, 14] == pytest.approx(-0.02, rel=1e-3)
     # Nose truly higher than estimated (φ_E > 0): the force leans back, so δv_N grows negative.
     assert phi[3, 7] == pytest.approx(-9.8 * 0.02, rel=1e-2)
-
-
-def _propagate(s: F64, layout: lo.Layout, config: Config) -> bool:
-    n = layout.n
-    return bool(
-        propagate(
-            s, layout.vector(), par.parameter_vector(config), np.empty((24, 3, 3)),
-            np.empty((9 + n, n)),
-        )
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("layout", [CORE, ALL], ids=["core", "all"])
@@ -152,10 +125,10 @@ def test_propagation_equals_dense_algebra(layout: lo.Layout, seed: int) -> None:
     s = random_state(rng, layout)
     s[lo.VIBRATION] = 0.4
     s[lo.GYRO_VIBRATION : lo.GYRO_VIBRATION + 3] = shaken = rng.uniform(0.0, 0.02, 3)
-    _fly(s, _samples(rng, 5), 0.005)
+    fly(s, samples(rng, 5), 0.005)
     C = s[lo.SUM_C : lo.SUM_C + 9].reshape(3, 3) / s[lo.SUM_T]
     s[lo.DX : lo.DX + layout.n] = dx = rng.standard_normal(layout.n)
-    before, phi, T = covariance(s, layout).copy(), _dense(s, layout), s[lo.SUM_T]
+    before, phi, T = covariance(s, layout).copy(), dense(s, layout), s[lo.SUM_T]
     p = par.parameter_vector(config)
     taus = [(9, p[par.ACCEL_BIAS_TAU], p[par.ACCEL_BIAS_PSD], p[par.ACCEL_BIAS_PSD])]
     taus.append((12, p[par.GYRO_BIAS_TAU], p[par.GYRO_BIAS_PSD], p[par.GYRO_BIAS_PSD]))
@@ -175,7 +148,7 @@ def test_propagation_equals_dense_algebra(layout: lo.Layout, seed: int) -> None:
     if layout.baro >= 0:
         Q[layout.baro, layout.baro] = p[par.BARO_PSD] * T
     full = np.diag(decay) @ phi
-    assert _propagate(s, layout, config)
+    assert close_interval(s, layout, config)
     after = covariance(s, layout)
     assert np.array_equal(after, after.T)
     expected = full @ before @ full.T + Q
@@ -188,7 +161,7 @@ def test_propagation_equals_dense_algebra(layout: lo.Layout, seed: int) -> None:
 def test_fifty_hertz_agrees_with_every_sample() -> None:
     rng = np.random.default_rng(8)
     start = random_state(rng, CORE)
-    imu = _samples(rng, 2001)
+    imu = samples(rng, 2001)
     C = np.empty((3, 3))
     ends = []
     for every in (1, 4):
@@ -196,7 +169,7 @@ def test_fifty_hertz_agrees_with_every_sample() -> None:
         for i in range(2000):
             advance(s, imu[i], imu[i + 1], 0.005, False, True, C)
             if (i + 1) % every == 0:
-                assert _propagate(s, CORE, Config())
+                assert close_interval(s, CORE, Config())
         ends.append(covariance(s, CORE).copy())
     sd = np.sqrt(np.diag(ends[0]))
     # The contract of transition_blocks says 1e-4 an interval; 500 intervals of mixed sign here.
@@ -209,7 +182,7 @@ def test_biases_forget_with_their_time_constant() -> None:
     config = Config(imu=Imu(gyro_bias_tau_s=10.0))
     for _ in range(1000):
         s[lo.SUM_T] = 0.02
-        _propagate(s, CORE, config)
+        close_interval(s, CORE, config)
     assert np.allclose(s[lo.GYRO_BIAS_B : lo.GYRO_BIAS_B + 3], bias * math.exp(-2.0), rtol=1e-12)
     p = par.parameter_vector(config)
     stationary = p[par.GYRO_BIAS_PSD] * 10.0 / 2
