@@ -218,7 +218,8 @@ def load(path: Path) -> Config:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
-    return _beside(parse(text, str(path)), path.parent)
+    # Absolute, so that it does not matter where it is opened from, or resolved once more.
+    return _beside(parse(text, str(path)), path.parent.absolute())
 
 
 def _beside(config: Config, folder: Path) -> Config:
