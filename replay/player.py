@@ -55,7 +55,9 @@ def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples
     return [*gnss[:1], *baro, *mag]
 
 
-def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
+def arrivals(
+    vehicle: VehicleRecording, config: Config, block_s: float = BLOCK_S
+) -> Iterator[AnySamples]:
     """Blocks in order of arrival.
 
     An aiding sample that arrives before the IMU has reached its time of validity may be handed over
@@ -85,7 +87,7 @@ def arrivals(vehicle: VehicleRecording, config: Config) -> Iterator[AnySamples]:
     queue.sort()
     places = np.searchsorted(imu.seq, np.array([q for q, *_ in queue], np.int64))
     step = np.median(np.diff(imu.t_ns)) if len(imu) > 1 else NS
-    block = max(1, int(BLOCK_S * NS / max(step, 1)))
+    block = max(1, int(block_s * NS / max(step, 1)))
     sent = 0
     pending: list[tuple[int, int]] = []
     for (_, index, m, behind), place in zip(queue, places.tolist(), strict=True):
@@ -137,11 +139,20 @@ def _aids(streams: list[AidingSamples], pending: list[tuple[int, int]]) -> Itera
         yield streams[index].take(np.array(rows, np.int64))
 
 
-def play(vehicle: VehicleRecording, config: Config, sink: Sink | None = None) -> Engine:
-    """Run a recording through a new engine; ``sink`` gets every arrival with what came of it."""
+def play(
+    vehicle: VehicleRecording,
+    config: Config,
+    sink: Sink | None = None,
+    block_s: float = BLOCK_S,
+) -> Engine:
+    """Run a recording through a new engine; ``sink`` gets every arrival with what came of it.
+
+    ``block_s``: longest IMU block of an arrival [s]. It changes how often there is something to
+    see, and nothing of the solution.
+    """
     engine = Engine(config)
     last: AnySamples | None = None
-    for block in arrivals(vehicle, config):
+    for block in arrivals(vehicle, config, block_s):
         out = engine.step(block)
         last = block
         if sink is not None:

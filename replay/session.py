@@ -14,6 +14,7 @@ from typing import Any
 
 from companion import __version__
 from companion.logbook import LogWriter
+from companion.outputs.publisher import Publisher
 from companion.types import (
     NS,
     AidingReports,
@@ -25,9 +26,13 @@ from companion.types import (
     VehicleRecording,
 )
 from replay.configuration import ChosenConfig
-from replay.player import play
+from replay.player import BLOCK_S, play
 from replay.preparation import start_ns, withhold_gnss
+from replay.publication import Publication
 from replay.window import Window
+
+PACED_S = 0.04
+"""Longest wait between outputs of a paced replay: two epochs at the usual 50 Hz."""
 
 Progress = Callable[[float], None]
 """Told how much of the recording is done, 0 to 1."""
@@ -60,6 +65,7 @@ class _Collector:
         writer: LogWriter | None,
         speed: float | None,
         progress: Progress | None,
+        publication: Publication | None,
     ) -> None:
         self.published: list[Solution] = []
         self.reports: list[AidingReports] = []
@@ -68,12 +74,17 @@ class _Collector:
         self._writer = writer
         self._speed = speed
         self._progress = progress
+        self._publication = publication
         self._origin_ns = start_ns(vehicle)
         last = [int(s.t_ns[-1]) for s in (*vehicle.imu, *vehicle.gnss) if len(s)]
         self._span_ns = max(1, max(last) - self._origin_ns)
         self._begin = time.monotonic()
 
     def __call__(self, samples: AnySamples, outputs: Outputs) -> None:
+        if len(samples):
+            self._arrived(int(samples.t_rx_ns[-1]) - self._origin_ns)
+        if self._publication is not None:
+            self._publication.step(samples, outputs)
         if len(outputs.published):
             self.published.append(outputs.published)
         if len(outputs.reports):
@@ -82,8 +93,6 @@ class _Collector:
         if self._writer is not None:
             self._writer.samples(samples, self._name)
             self._writer.outputs(outputs, self._name)
-        if len(samples):
-            self._arrived(int(samples.t_rx_ns[-1]) - self._origin_ns)
 
     def _arrived(self, elapsed_ns: int) -> None:
         if self._speed is not None:
@@ -102,18 +111,24 @@ def run_session(
     outages: Sequence[Window] = (),
     speed: float | None = None,
     progress: Progress | None = None,
+    publisher: Publisher | None = None,
 ) -> SessionResult:
     """Run one vehicle's recording through the engine.
 
     ``outages`` are windows without GNSS; ``speed`` is a factor on real time, None for as fast as
-    it goes: the solution does not depend on it. Errors of the log's disk come from ``writer``.
+    it goes: the solution does not depend on it. ``publisher`` gets everything as from a live run.
+    Errors of the log's disk come from ``writer``.
     """
     flown = withhold_gnss(vehicle, outages)
-    collector = _Collector(flown, writer, speed, progress)
+    publication = None
+    if publisher is not None:
+        publication = Publication(publisher, flown.name, chosen.config, start_ns(flown))
+    collector = _Collector(flown, writer, speed, progress, publication)
     wall, cpu = time.monotonic(), time.process_time()
     if writer is not None:
         writer.describe(flown)
-    engine = play(flown, chosen.config, collector)
+    block_s = BLOCK_S if speed is None else min(BLOCK_S, PACED_S * speed)
+    engine = play(flown, chosen.config, collector, block_s)
     if writer is not None:
         if flown.truth is not None:
             writer.reference(flown.truth, flown.name, "truth")

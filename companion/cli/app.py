@@ -122,8 +122,16 @@ def replay(
         ),
     ] = None,
     speed: Annotated[
-        str, typer.Option(metavar="max|1|N", help="As fast as it goes, or N times real time.")
-    ] = "max",
+        str | None,
+        typer.Option(metavar="max|1|N", help="As fast as it goes (max), or N times real time."),
+    ] = None,
+    publish: Annotated[
+        bool,
+        typer.Option(
+            "--publish",
+            help="Publish over zenoh as a live run does; --speed 1 unless another is given.",
+        ),
+    ] = False,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -134,10 +142,11 @@ def replay(
     Example: companion replay flight.tlog --outage 120+30 --out flight.run.mcap
     """
     console = _console(as_json)
-    windows, factor = _windows(outage or [], "--outage"), _speed(speed)
+    windows = _windows(outage or [], "--outage")
+    factor = _speed(speed or ("1" if publish else "max"))
     from companion.cli.commands import replay_logs
 
-    _emit_if(as_json, replay_logs(console, logs, config, out, windows, factor, vehicle))
+    _emit_if(as_json, replay_logs(console, logs, config, out, windows, factor, vehicle, publish))
 
 
 @app.command(no_args_is_help=True)
@@ -309,6 +318,37 @@ def check(
     _emit_if(as_json, result)
     if not result["ok"]:
         raise typer.Exit(1)
+
+
+@app.command()
+def watch(
+    vehicle: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Only this vehicle; all without it.")
+    ] = None,
+    connect: Annotated[
+        str,
+        typer.Option(metavar="ENDPOINT", help="A companion's zenoh.listen, or a zenoh router."),
+    ] = "tcp/127.0.0.1:7447",
+    zenoh_config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="zenoh configuration (TLS, user and password) instead."),
+    ] = None,
+    once: Annotated[bool, typer.Option("--once", help="One picture, then exit.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One picture as one JSON object on stdout.")
+    ] = False,
+) -> None:
+    """Live state of a running companion in the terminal, over zenoh; Ctrl-C ends it.
+
+    Position degrees and m, velocity m/s, attitude degrees, ± one standard deviation, ages s.
+
+    Example: companion watch --connect tcp/192.168.1.20:7447
+    """
+    console = _console(as_json)
+    from companion.cli.watch import watch as follow
+
+    picture = follow(console, vehicle, connect, zenoh_config, once or as_json)
+    _emit_if(as_json, picture or {})
 
 
 @app.command()

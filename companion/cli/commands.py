@@ -5,7 +5,8 @@ Modules with kernels are imported inside the functions: a wrong command line mus
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,9 +27,12 @@ from companion.types import (
 from replay.window import Window, read_windows
 
 if TYPE_CHECKING:
+    from companion.outputs.publisher import Publisher
     from replay.configuration import ChosenConfig
     from replay.session import SessionResult
 
+_OPEN_S = 1.0
+"""A zenoh session is open within milliseconds, or not for long."""
 _LOADING = "Loading the numerical kernels …"
 
 
@@ -40,6 +44,7 @@ def replay_logs(
     outages: Sequence[Window],
     speed: float | None,
     vehicle_name: str | None,
+    publish: bool,
 ) -> dict[str, Any]:
     """Replay, log, evaluate and describe every vehicle of a run."""
     from replay.preparation import navigable
@@ -54,9 +59,18 @@ def replay_logs(
     runs = []
     with session.run_log(path, recording, chosen, outages) as writer:
         for vehicle in fit:
-            with present.progress(console, f"Vehicle {vehicle.name}") as update:
+            with (
+                present.progress(console, f"Vehicle {vehicle.name}") as update,
+                publication(console, chosen, vehicle.name, publish) as publisher,
+            ):
                 result = session.run_session(
-                    vehicle, chosen, writer=writer, outages=outages, speed=speed, progress=update
+                    vehicle,
+                    chosen,
+                    writer=writer,
+                    outages=outages,
+                    speed=speed,
+                    progress=update,
+                    publisher=publisher,
                 )
             runs.append(_describe(result, outages))
             present.show_run(console, runs[-1])
@@ -124,6 +138,27 @@ def export_run(
         "epochs": len(solved.solution),
         "height_datum": solved.vehicle.height_datum,
     }
+
+
+@contextmanager
+def publication(
+    console: Console, chosen: ChosenConfig, vehicle: str, wanted: bool
+) -> Iterator[Publisher | None]:
+    """A zenoh publisher for one vehicle, or None where none is wanted."""
+    if not wanted:
+        yield None
+        return
+    from companion.outputs.zenoh_publisher import ZenohPublisher
+
+    with closing(ZenohPublisher(chosen.config.zenoh, vehicle)) as publisher:
+        publisher.config(chosen.toml)
+        publisher.link.wait_open(_OPEN_S)
+        for notice in publisher.notices():
+            console.print(f"[yellow]{notice.kind}: {escape(notice.text)}", highlight=False)
+        where = chosen.config.zenoh.config_file or ", ".join(chosen.config.zenoh.listen)
+        if publisher.link.live is not None:
+            console.print(f"Published on {escape(where)}; companion watch shows it")
+        yield publisher
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from companion.outputs.zenoh_settings import complaint
 
 RETRY_S = 2.0
 CLOSE_S = 1.0
-"""A session that takes longer to say goodbye is left to the end of the process."""
+"""A session that takes longer to say goodbye is waited for at the end of the process."""
 
 T = TypeVar("T")
 
@@ -68,17 +68,19 @@ class ZenohLink(Generic[T]):
         return out
 
     def close(self) -> None:
-        """Close the session, waiting at most :data:`CLOSE_S`."""
+        """Close the session, waiting at most :data:`CLOSE_S` for each of two steps."""
         self._stop.set()
         self.live = None
-        closer = threading.Thread(target=self._close_session, name="zenoh-close", daemon=True)
+        # Not daemons: the interpreter must not end in the middle of one's call into zenoh.
+        self._thread.join(CLOSE_S)
+        closer = threading.Thread(target=self._close_session, name="zenoh-close")
         closer.start()
         closer.join(CLOSE_S)
 
     # ------------------------------------------------------------------ the thread
 
     def _start(self) -> threading.Thread:
-        thread = threading.Thread(target=self._open, name="zenoh-open", daemon=True)
+        thread = threading.Thread(target=self._open, name="zenoh-open")
         thread.start()
         return thread
 

@@ -1,0 +1,93 @@
+"""``companion watch``: the live picture, until Ctrl-C or once."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NoReturn
+
+from rich.console import Console
+from rich.live import Live
+
+from companion.outputs.subscriber import Subscriber
+from companion.outputs.zenoh_settings import client_settings, file_settings
+from companion.types import CompanionError
+from companion.watch.as_json import picture_json
+from companion.watch.picture import Fleet, VehiclePicture
+from companion.watch.view import fleet_view
+
+FIND_S = 5.0
+"""For --once: how long to wait for a vehicle."""
+LOOK_S = 1.2
+"""For --once: how long to look before the picture; health comes once a second."""
+REFRESH_S = 0.25
+_OTHER_LINES = 32
+"""Of the picture without events, about."""
+
+
+def watch(
+    console: Console, vehicle: str | None, endpoint: str, zenoh_config: Path | None, once: bool
+) -> dict[str, Any] | None:
+    """Show what is published; with ``once``, one picture, which is also returned as an object."""
+
+    def settings() -> Any:
+        return file_settings(zenoh_config) if zenoh_config else client_settings(endpoint)
+
+    settings()  # a wrong one fails here, in one line
+    where = str(zenoh_config) if zenoh_config else endpoint
+    with closing(Subscriber(settings, vehicle or "*")) as subscriber:
+        if once:
+            return _once(console, subscriber, where)
+        try:
+            _follow(console, subscriber, where)
+        except KeyboardInterrupt:
+            return None
+
+
+def _once(console: Console, subscriber: Subscriber, where: str) -> dict[str, Any]:
+    fleet = Fleet()
+    begin = time.monotonic()
+    until = begin + FIND_S
+    found = False
+    while time.monotonic() < until:
+        _listen(fleet, subscriber, 0.1)
+        if not found and any(v.state is not None for v in fleet.vehicles.values()):
+            found, until = True, time.monotonic() + LOOK_S
+    now_ns = time.monotonic_ns()
+    shown = fleet.chosen(now_ns)
+    if shown is None:
+        raise CompanionError(_nobody(subscriber, where))
+    console.print(fleet_view(fleet, shown, now_ns, last=8))
+    return picture_json(shown, now_ns)
+
+
+def _nobody(subscriber: Subscriber, where: str) -> str:
+    if subscriber.link.live is None:
+        return f"{where}: nobody listens there; is a companion running, or another --connect?"
+    return f"{where}: connected, and no vehicle publishes"
+
+
+def _follow(console: Console, subscriber: Subscriber, where: str) -> NoReturn:
+    fleet = Fleet()
+    shown: VehiclePicture | None = None
+    with Live(console=console, auto_refresh=False, screen=console.is_terminal) as live:
+        while True:
+            _listen(fleet, subscriber, REFRESH_S)
+            now_ns = time.monotonic_ns()
+            # Stay with a vehicle as long as it speaks.
+            if shown is None or shown.age_s(now_ns) > 1.0:
+                shown = fleet.chosen(now_ns)
+            if shown is None:
+                live.update(f"waiting: {_nobody(subscriber, where)}", refresh=True)
+            else:
+                room = max(3, console.height - _OTHER_LINES)
+                live.update(fleet_view(fleet, shown, now_ns, last=room), refresh=True)
+
+
+def _listen(fleet: Fleet, subscriber: Subscriber, seconds: float) -> None:
+    """Take messages for this long."""
+    until = time.monotonic() + seconds
+    while (left := until - time.monotonic()) > 0:
+        for heard in subscriber.take(left):
+            fleet.update(heard, time.monotonic_ns())

@@ -1,0 +1,155 @@
+"""What is known of a vehicle from its messages, with time passed in."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
+
+from companion.logbook.health import decode_health
+from companion.outputs import payloads
+from companion.outputs.subscriber import Heard
+from companion.proto import navigation_pb2
+from companion.types import NS, Channel, Event, Health, LogFormatError, Mode, Verdict
+
+GATE_SPAN_NS = 30 * NS
+"""Accepted and rejected are counted over this long."""
+RATE_SPAN_NS = 3 * NS
+STALE_NS = NS
+"""Without a state for this long, the picture is old."""
+EVENTS = 50
+_SAME_MACHINE_NS = 60 * NS
+"""Beyond that, clocks of two machines were compared."""
+_LEVELS = {Log.WARNING: "warning", Log.ERROR: "error", Log.FATAL: "error"}
+
+
+@dataclass(slots=True)
+class Gate:
+    """What became of one channel's measurements lately."""
+
+    verdicts: deque[tuple[int, Verdict]] = field(default_factory=deque)
+    ratio: float = math.nan
+    """Of the latest that was held against a gate: NIS over gate, above 1 rejected."""
+
+    def counts(self, now_ns: int) -> tuple[int, int, int]:
+        """(accepted, rejected by the gate, refused for another reason) over the last span."""
+        while self.verdicts and now_ns - self.verdicts[0][0] > GATE_SPAN_NS:
+            self.verdicts.popleft()
+        accepted = sum(v == Verdict.ACCEPTED for _, v in self.verdicts)
+        rejected = sum(v == Verdict.REJECTED_GATE for _, v in self.verdicts)
+        return accepted, rejected, len(self.verdicts) - accepted - rejected
+
+    @property
+    def last(self) -> Verdict | None:
+        """The latest verdict within the span."""
+        return self.verdicts[-1][1] if self.verdicts else None
+
+
+@dataclass(slots=True)
+class VehiclePicture:
+    """One vehicle, as its messages so far say. Times ``now_ns`` are CLOCK_MONOTONIC."""
+
+    name: str
+    alive: bool | None = None
+    """By its liveliness token; None before anything is known."""
+    state: Any = None
+    """Latest ``NavState`` message."""
+    state_ns: int = 0
+    latency_ms: float = math.nan
+    """Arrival of a sample at the vehicle to receipt of the state here; same machine only."""
+    health: Health | None = None
+    health_ns: int = 0
+    gates: dict[Channel, Gate] = field(default_factory=dict)
+    events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENTS))
+    broken: int = 0
+    """Messages that could not be decoded: another version, or a stranger on these keys."""
+    _arrivals: deque[int] = field(default_factory=deque)
+
+    def update(self, heard: Heard, now_ns: int) -> None:
+        """Take a message; one that cannot be read is counted."""
+        if heard.name == payloads.ALIVE:
+            self.alive = heard.payload is not None
+            return
+        if heard.payload is None:
+            return
+        try:
+            self._read(heard.name, heard.payload, now_ns)
+        except (DecodeError, LogFormatError, ValueError):
+            self.broken += 1
+
+    def _read(self, name: str, payload: bytes, now_ns: int) -> None:
+        if name == payloads.STATE:
+            self._state(navigation_pb2.NavState.FromString(payload), now_ns)
+        elif name == payloads.AIDING:
+            report = navigation_pb2.AidingReport.FromString(payload)
+            gate = self.gates.setdefault(Channel(report.channel), Gate())
+            verdict = Verdict(report.verdict)
+            gate.verdicts.append((now_ns, verdict))
+            if verdict in (Verdict.ACCEPTED, Verdict.REJECTED_GATE) and report.gate > 0:
+                gate.ratio = report.nis / report.gate
+        elif name == payloads.HEALTH:
+            self.health, self.health_ns = decode_health(payload), now_ns
+        elif name == payloads.EVENTS:
+            log = Log.FromString(payload)
+            t_ns = log.timestamp.seconds * NS + log.timestamp.nanos
+            level: Any = _LEVELS.get(log.level, "info")
+            self.events.append(Event(t_ns, log.name, log.message, level))
+
+    def _state(self, state: Any, now_ns: int) -> None:
+        three = state.vel_n, state.sd_pos_m, state.sd_vel_mps, state.sd_att_deg
+        if any(len(column) != 3 for column in three):
+            raise ValueError("a state with fields of the wrong length")
+        Mode(state.mode)
+        self.state, self.state_ns = state, now_ns
+        self._arrivals.append(now_ns)
+        late_ns = now_ns - state.arrival_monotonic_ns
+        sane = state.HasField("arrival_monotonic_ns") and 0 <= late_ns < _SAME_MACHINE_NS
+        self.latency_ms = late_ns / 1e6 if sane else math.nan
+
+    def rate_hz(self, now_ns: int) -> float:
+        """States received a second."""
+        while self._arrivals and now_ns - self._arrivals[0] > RATE_SPAN_NS:
+            self._arrivals.popleft()
+        n = len(self._arrivals)
+        span_ns = self._arrivals[-1] - self._arrivals[0] if n > 1 else 0
+        return (n - 1) * NS / span_ns if span_ns else 0.0
+
+    @property
+    def mode(self) -> Mode | None:
+        """Of the latest state; None before the first."""
+        return Mode(self.state.mode) if self.state is not None else None
+
+    def age_s(self, now_ns: int) -> float:
+        """Since the latest state; infinite before the first."""
+        return (now_ns - self.state_ns) / NS if self.state is not None else math.inf
+
+    def standing(self, now_ns: int) -> str:
+        """In a word: ``gone``, ``silent``, ``waiting``, or the mode."""
+        if self.alive is False:
+            return "gone"
+        if self.mode is None:
+            return "waiting"
+        if now_ns - self.state_ns > STALE_NS:
+            return "silent"
+        return self.mode.name.lower().replace("_", " ")
+
+
+class Fleet:
+    """Every vehicle that was heard, in order of appearance."""
+
+    def __init__(self) -> None:
+        self.vehicles: dict[str, VehiclePicture] = {}
+
+    def update(self, heard: Heard, now_ns: int) -> None:
+        """Take a message of any vehicle."""
+        vehicle = self.vehicles.setdefault(heard.vehicle, VehiclePicture(heard.vehicle))
+        vehicle.update(heard, now_ns)
+
+    def chosen(self, now_ns: int) -> VehiclePicture | None:
+        """The one to show: the first that speaks, else the first."""
+        speaking = [v for v in self.vehicles.values() if v.age_s(now_ns) < 1.0]
+        return next(iter([*speaking, *self.vehicles.values()]), None)
