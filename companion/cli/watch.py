@@ -17,7 +17,7 @@ from companion.watch.as_json import picture_json
 from companion.watch.picture import Fleet, VehiclePicture
 from companion.watch.view import fleet_view
 
-FIND_S = 5.0
+FIND_S = 3.0
 """For --once: how long to wait for a vehicle."""
 LOOK_S = 1.2
 """For --once: how long to look before the picture; health comes once a second."""
