@@ -11,6 +11,7 @@ config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", json.dumps(sys.argv[1:] or ["tcp/127.0.0.1:7447"]))
 with zenoh.open(config) as session:
-    for sample in session.declare_subscriber("companion/*/nav/state"):
+    states = session.declare_subscriber("companion/*/nav/state")
+    for sample in states:
         state = NavState.FromString(sample.payload.to_bytes())
         print(sample.key_expr, NavState.Mode.Name(state.mode), state.lat, state.lon, state.yaw_deg)

@@ -109,9 +109,9 @@ def _navigation(v: VehiclePicture) -> Table:
     table = _table("", "", "", "", "1σ", "", "", title="Navigation")
     names = "north", "east", "down"
     place = (f"{math.degrees(s.lat):.7f}°", f"{math.degrees(s.lon):.7f}°", f"{s.height:.2f} m")
-    table.add_row("position", *place, *_sd(s.sd_pos_m, names, "m", (2.0, 10.0)))
+    table.add_row("position", *place, *_sd(s.sd_pos_m, names, " m", (2.0, 10.0)))
     velocity = (f"N {north:.2f}", f"E {east:.2f}", f"D {down:.2f} m/s")
-    table.add_row("velocity", *velocity, *_sd(s.sd_vel_mps, names, "m/s", (0.5, 2.0)))
+    table.add_row("velocity", *velocity, *_sd(s.sd_vel_mps, names, " m/s", (0.5, 2.0)))
     angles = (f"roll {s.roll_deg:.1f}", f"pitch {s.pitch_deg:.1f}", f"yaw {s.yaw_deg % 360:.1f}°")
     table.add_row("attitude", *angles, *_sd(s.sd_att_deg, names, "°", (3.0, 10.0)))
     table.add_row("over ground", f"{math.hypot(north, east):.2f} m/s", f"course {course:.0f}°")
@@ -124,7 +124,7 @@ def _sd(values: Any, names: tuple[str, ...], unit: str, limits: tuple[float, flo
     for name, value in zip(names, values, strict=True):
         wide = "green" if value <= limits[0] else "yellow" if value <= limits[1] else "red"
         shown = f"{value:.2f}" if value < 100 else f"{value:.3g}"
-        out.append(Text(f"{name[0].upper()} ±{shown} {unit}", wide))
+        out.append(Text(f"{name[0].upper()} ±{shown}{unit}", wide))
     return out
 
 
