@@ -147,7 +147,34 @@ def _sensors(health: Health) -> Table:
 
 
 def _process(health: Health) -> Text:
-    line = Text("Links  ", "bold")
+    """Links, load and log, a line each; what a replay does not have is left out."""
+    lines: list[Text] = []
+    if health.links:
+        lines.append(_links(health))
+    loop, log = health.loop, health.log
+    if math.isfinite(loop.latency_p50_ms):
+        p50, p99 = loop.latency_p50_ms, loop.latency_p99_ms
+        lines.append(
+            Text.assemble(
+                ("Loop   ", "bold"),
+                (f"{100 * loop.load:.0f} % of a core", "yellow" if loop.load > 0.8 else ""),
+                f", sample to output p50 {p50:.2f}, p99 {p99:.2f} ms",
+            )
+        )
+    if log.state != "off":
+        lines.append(
+            Text.assemble(
+                ("Log    ", "bold"),
+                (log.state, _STATE[log.state]),
+                f" {log.written_bytes / 1e6:.1f} MB",
+                (f", {log.dropped_bytes} bytes dropped" if log.dropped_bytes else "", "red"),
+            )
+        )
+    return Text("\n").join(lines)
+
+
+def _links(health: Health) -> Text:
+    line = Text.assemble(("Links  ", "bold"))
     for link in health.links:
         line.append(f"{link.name} ")
         line.append(link.state, _STATE[link.state])
@@ -155,18 +182,6 @@ def _process(health: Health) -> Text:
         said += f", {link.malformed} malformed" if link.malformed else ""
         said += f", reopened {link.reopened}×" if link.reopened else ""
         line.append(said + (f" ({link.note})" if link.note else "") + "   ")
-    loop, log = health.loop, health.log
-    line.append("\nLoop   ", "bold")
-    line.append(f"{100 * loop.load:.0f} % of a core", "yellow" if loop.load > 0.8 else "")
-    if math.isfinite(loop.latency_p50_ms):
-        line.append(
-            f", sample to output p50 {loop.latency_p50_ms:.2f}, p99 {loop.latency_p99_ms:.2f} ms"
-        )
-    line.append("\nLog    ", "bold")
-    line.append(log.state, _STATE[log.state])
-    line.append(f" {log.written_bytes / 1e6:.1f} MB")
-    if log.dropped_bytes:
-        line.append(f", {log.dropped_bytes} bytes dropped", "red")
     return line
 
 
