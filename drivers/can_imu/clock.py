@@ -9,6 +9,7 @@ times again.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 NS = 1_000_000_000
@@ -133,11 +134,22 @@ class Unwrapped:
         return round(self._ticks * self._tick_ns)
 
 
+_IN_STEP = 0.75
+"""Periods since the sample before from which on a sample does not come out of a backlog."""
+_PAUSE = 0.5
+"""Turns of the counter for which nothing came, after which the next sample alone says nothing."""
+
+_KNOWN = 16
+"""Steps after which the period is known well enough to tell a pause."""
+
+
 class Counter:
     """A counter of ``bits`` that goes up by one a sample and wraps; finds lost and repeated ones.
 
     Time of arrival resolves how often it wrapped while nothing came: a 5-bit counter at 160 Hz
-    does so every 0.2 s.
+    does so every 0.2 s. After a pause the samples behind it tell silence of the sensor, where they
+    come in step, from a reader that was held up, where they come at once: whole turns of the
+    counter are only counted once a sample has come in step.
     """
 
     def __init__(self, bits: int, rate_hz: float = 0.0) -> None:
@@ -148,6 +160,8 @@ class Counter:
         self._modulus = 1 << bits
         self._last: tuple[int, int] | None = None
         self._steps = 0
+        self._late = 0.0
+        """Periods that a pause and the backlog behind it leave unexplained."""
 
     def advance(self, raw: int, rx_ns: int) -> int:
         """Steps since the sample before: 1 in order, 0 a repeat, more: some were lost; −1: restart.
@@ -161,19 +175,36 @@ class Counter:
         steps = (raw - last_raw) % self._modulus
         elapsed = rx_ns - last_rx
         if self.period_ns > 0:
-            expected = elapsed / self.period_ns
-            if steps > 2.0 * expected + 0.25 * self._modulus + 8.0:
+            passed = elapsed / self.period_ns
+            if steps > 2.0 * (passed + self._late) + 0.25 * self._modulus + 8.0:
                 # More than can have been sent in this time: it began again.
                 self._last = raw, rx_ns
+                self._late = 0.0
                 self.total += 1
                 return -1
-            steps += self._modulus * max(0, round((expected - steps) / self._modulus))
+            held_up = self._late > 0.0 or passed >= _PAUSE * self._modulus
+            steps += self._modulus * self._turns(steps, passed)
+        else:
+            held_up = False
         if steps == 0:
             return 0
         self._last = raw, rx_ns
         self.total += steps
-        if steps == 1:
+        # A pause and the backlog behind it say nothing of the period, once there is one.
+        if steps == 1 and not (held_up and self._steps >= _KNOWN):
             # A mean over the first samples that turns into one over the last hundred or so.
             self._steps = min(self._steps + 1, 128)
             self.period_ns += (elapsed - self.period_ns) / self._steps
         return steps
+
+    def _turns(self, steps: int, passed: float) -> int:
+        """Whole turns beside ``steps`` in the ``passed`` periods since the sample before."""
+        missing = self._late + passed - steps
+        turns = max(0, math.floor(missing / self._modulus + 0.5))
+        if steps == 0:
+            return turns
+        if passed < _IN_STEP or passed >= _PAUSE * self._modulus:
+            self._late = max(0.0, missing)
+            return 0
+        self._late = 0.0
+        return turns

@@ -151,7 +151,7 @@ class DroneCanDecoder(CanImuDecoder):
             interval = math.nan
             (gx, gy, gz), (ax, ay, az) = rate, force
         stamp_us = int.from_bytes(payload[2:9], "little")
-        t_ns = self._validity.at(stamp_us, interval, lost > 0, self._first_rx)
+        t_ns = self._validity.at(stamp_us, interval, lost, self._first_rx)
         counters.restarts = self._validity.restarts
         sample = gx, gy, gz, ax, ay, az
         # A mean hides an axis that was at its end for part of the interval; the latest may show it.
@@ -175,8 +175,11 @@ class _Validity:
         self._window_ns = 0
         self._window_begin = 0
 
-    def at(self, stamp_us: int, interval_s: float, lost: bool, rx_ns: int) -> int:
-        """Time of validity [ns]; ``rx_ns``: arrival of the transfer's first frame."""
+    def at(self, stamp_us: int, interval_s: float, lost: int, rx_ns: int) -> int:
+        """Time of validity [ns]; ``rx_ns``: arrival of the transfer's first frame.
+
+        ``lost``: samples before this one that never came.
+        """
         if self._last_t < 0:
             self._last_rx = self._window_begin = rx_ns
         elapsed = rx_ns - self._last_rx
@@ -184,9 +187,10 @@ class _Validity:
         if (stamp_us > 0) != self._by_stamp:
             self._by_stamp = stamp_us > 0
             self._clock = SensorClock()
-        # What was lost had an interval too: only arrival knows how long.
-        own = not lost and interval_s == interval_s
-        self._sensor_ns += round(interval_s * NS) if own else elapsed
+        # What was lost had an interval too. Arrival is no measure of it: a reader that is held up
+        # loses frames and finds a backlog at once.
+        own = interval_s == interval_s
+        self._sensor_ns += round(interval_s * NS) * (1 + lost) if own else elapsed
         self._judge(self._sensor_ns, rx_ns)
         if self._by_stamp:
             t_ns = self._clock.at(stamp_us * 1000, rx_ns)

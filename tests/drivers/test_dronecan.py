@@ -125,6 +125,35 @@ def test_lost_transfers_are_counted_by_their_number():
     np.testing.assert_allclose(got.t_ns, T0 + STEP_NS * np.array(kept), atol=1_000)
 
 
+@pytest.mark.parametrize("stall", [18, 31, 33, 50, 200])
+def test_a_reader_that_was_held_up_loses_nothing(stall):
+    """Samples that wait for the reader come at once behind a pause: none of them was lost."""
+    groups = in_groups(DroneCanEncoder().encode(samples_of(1200, interval_s=0.005)), FRAMES)
+    decoder = make_decoder("imu", "dronecan")
+    for i, group in enumerate(groups):
+        held_until = next((b + stall for b in (300, 700) if b <= i < b + stall), i)
+        feed(decoder, group, T0 + held_until * STEP_NS, i * FRAMES)
+    assert decoder.counters.lost == decoder.counters.restarts == 0
+    got = taken(decoder)
+    # The line may move by the slope that late blocks suggest: within a fifth of a sample.
+    np.testing.assert_allclose(got.t_ns, T0 + STEP_NS * np.arange(1200), atol=STEP_NS // 5)
+
+
+@pytest.mark.parametrize("silence", [16, 31, 32, 33, 100, 500])
+def test_a_unit_that_was_silent_has_lost_what_it_did_not_say(silence):
+    groups = in_groups(DroneCanEncoder().encode(samples_of(1200, interval_s=0.005)), FRAMES)
+    decoder = make_decoder("imu", "dronecan")
+    for i, group in enumerate(groups):
+        if not 300 <= i < 300 + silence:
+            feed(decoder, group, T0 + i * STEP_NS, i * FRAMES)
+    assert decoder.counters.lost == silence
+    got = taken(decoder)
+    # The first one behind the pause does not know yet how many turns it missed.
+    kept = [i for i in range(1200) if not 300 <= i <= 300 + silence]
+    later = np.delete(got.t_ns, 300)
+    np.testing.assert_allclose(later, T0 + STEP_NS * np.array(kept), atol=STEP_NS // 5)
+
+
 def test_a_lost_frame_costs_its_transfer_and_no_more():
     groups = in_groups(DroneCanEncoder().encode(samples_of(30, interval_s=0.005)), FRAMES)
     del groups[10][3]
