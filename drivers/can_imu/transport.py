@@ -99,6 +99,7 @@ class SlcanTransport(CanTransport):
         if speed is None:
             raise ConfigError(f"{self.name}: tty_baudrate {options['tty_baudrate']} does not exist")
         self._parser = SlcanParser()
+        self._unsent = b""
         self._fd = -1
         try:
             self._fd = os.open(channel, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -135,15 +136,18 @@ class SlcanTransport(CanTransport):
         return frames
 
     def send(self, frames: Iterable[tuple[int, bool, bytes]]) -> None:
-        """Frames as lines, in one write."""
-        lines = slcan_lines(frames)
+        """Frames as lines, in one write; of a line that was cut, the rest goes first next time."""
+        lines = self._unsent + slcan_lines(frames)
         try:
             sent = os.write(self._fd, lines)
         except BlockingIOError:
             sent = 0
         except OSError as error:
             raise LinkLost(f"{self.name}: {_reason(error)}") from None
-        self.dropped += lines[sent:].count(b"\r")
+        cut = lines[sent - 1 : sent] != b"\r" if sent else bool(self._unsent)
+        end = lines.index(b"\r", sent) + 1 if cut else sent
+        self._unsent = lines[sent:end]
+        self.dropped += lines[end:].count(b"\r")
 
     def close(self) -> None:
         """Close the channel on the bus and the device."""

@@ -111,12 +111,21 @@ def test_an_adapter_that_vanishes_is_a_lost_link(adapter):
     bus.close()
 
 
-def test_a_flood_that_nobody_reads_drops_and_does_not_block(adapter):
+def test_a_flood_that_nobody_reads_drops_whole_frames_and_does_not_block(adapter):
     bus = open_can("slcan", adapter.path)
     for _ in range(200):
         bus.send(FRAMES * 50)
     assert bus.dropped > 0
+    heard = SlcanParser()
+    adapter.heard(b"O\r")
+    os.set_blocking(adapter.fd, False)
+    for _ in range(50):
+        with suppress(BlockingIOError):
+            while True:
+                heard.feed(os.read(adapter.fd, 4096))
+        bus.send(FRAMES)
     bus.close()
+    assert heard.malformed == 0
 
 
 def test_adapters_that_are_not_there():
