@@ -294,6 +294,28 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class RunDigests:
+    """Digests that a run wrote about itself."""
+
+    seq: int | None
+    """The arrival up to which they count; None: the whole run."""
+    digest: str
+    digest_published: str
+
+
+def read_digests(path: Path, vehicle: str) -> RunDigests | None:
+    """What the run was closed with, else its last checkpoint; None where there is neither."""
+    run = _Run(Path(path), ("checkpoint",))
+    per_vehicle = run.summary.get("vehicles")
+    closed = per_vehicle.get(vehicle, {}) if isinstance(per_vehicle, dict) else run.summary
+    if "digest" in closed and "digest_published" in closed:
+        return RunDigests(None, str(closed["digest"]), str(closed["digest_published"]))
+    said = run.messages[vehicle].get("checkpoint", [])
+    last = run._parse(run_pb2.Checkpoint, said[-1] if said else None)
+    return RunDigests(last.seq, last.digest, last.digest_published) if last else None
+
+
 def _settled(payloads: list[bytes]) -> Solution | None:
     if not payloads:
         return None

@@ -74,6 +74,8 @@ def replay_logs(
                 )
             runs.append(_describe(result, outages))
             present.show_run(console, runs[-1])
+            if recording.metadata.get("source") == "live" and config_path is None and not outages:
+                runs[-1]["live"] = _against_live(console, logs[0], result)
         writer.close(session.closing_summary(runs))
     console.print(f"Run log   {escape(str(path))}")
     return {
@@ -84,6 +86,24 @@ def replay_logs(
         "out": str(path),
         "vehicles": runs,
     }
+
+
+def _against_live(console: Console, path: Path, result: SessionResult) -> dict[str, Any] | None:
+    """Whether the replay of a live run's log gave the bits of the run; said, and as JSON."""
+    from replay.verification import compare_with_live
+
+    found = compare_with_live(
+        path, result.vehicle, result.chosen.config, result.digest, result.digest_published
+    )
+    if found is None:
+        console.print("Live      the log holds no digest to compare with: it was cut too early")
+        return None
+    until = "" if found.until_seq is None else f" up to its last checkpoint, {found.until_seq}"
+    if found.equal:
+        console.print(f"Live      the same bits as the live run{until}")
+    else:
+        console.print(f"Live      not the bits of the live run{until}", style="red")
+    return plain(found)
 
 
 def evaluate_run(

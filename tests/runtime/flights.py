@@ -30,7 +30,7 @@ from drivers.can_imu import make_decoder, make_encoder
 from replay.simulator import load_scenario, matching_config, simulate
 
 PREFERRED = {"imu": ("HIGHRES_IMU", "RAW_IMU"), "gnss": ("GPS_RAW_INT", "GPS2_RAW")}
-SECONDS = 18.0
+SECONDS = 12.0
 TICK_NS = NS // 10
 
 

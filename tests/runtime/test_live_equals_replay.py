@@ -39,7 +39,7 @@ def _same(flown: flights.Flown) -> None:
     assert stored.digest_published == flown.digest_published
     assert engine.digest == flown.digest
     assert engine.digest_published == flown.digest_published
-    assert len(stored.solution) > 300
+    assert len(stored.solution) > 100
 
 
 def _aids(vehicle: VehicleRecording, delay: Callable[[int], int] = lambda _: 0) -> list[Arrival]:
@@ -57,7 +57,7 @@ def test_an_undisturbed_run(copter: Flight, tmp_path: Path) -> None:
     arrivals = [*can_frames(vehicle.imu[0]), *_aids(vehicle)]
     flown = flights.fly(arrivals, flights.with_can(config, "imu"), tmp_path / "run.mcap")
     _same(flown)
-    assert flown.core.engine.counters.late_fused > 30  # GNSS is 100 ms late in this flight
+    assert flown.core.engine.counters.late_fused > 20  # GNSS is 100 ms late in this flight
 
 
 def test_a_heading_that_is_found_on_the_way(tmp_path: Path) -> None:
@@ -95,11 +95,11 @@ def test_a_reconnect(copter: Flight, tmp_path: Path) -> None:
     t0 = min(a.t_ns for a in aids)
     changes = [
         LinkChange(t0 - 1, "mavlink", "up"),
-        LinkChange(t0 + 10 * NS, "mavlink", "lost"),
-        LinkChange(t0 + 12 * NS, "mavlink", "retrying"),
-        LinkChange(t0 + 15 * NS, "mavlink", "up"),
+        LinkChange(t0 + 5 * NS, "mavlink", "lost"),
+        LinkChange(t0 + 6 * NS, "mavlink", "retrying"),
+        LinkChange(t0 + 8 * NS, "mavlink", "up"),
     ]
-    arrivals = [*can_frames(vehicle.imu[0]), *_without(aids, 10, 15), *changes]
+    arrivals = [*can_frames(vehicle.imu[0]), *_without(aids, 5, 8), *changes]
     flown = flights.fly(arrivals, flights.with_can(config, "imu"), tmp_path / "run.mcap")
     _same(flown)
     links = [e.kind for e in flown.events if e.kind.startswith("link")]
@@ -111,7 +111,7 @@ def test_a_reconnect(copter: Flight, tmp_path: Path) -> None:
 @pytest.mark.parametrize("seconds", [0.4, 3.0])
 def test_a_silent_imu(copter: Flight, tmp_path: Path, seconds: float) -> None:
     vehicle, config = copter
-    frames = _without(can_frames(vehicle.imu[0]), 10, 10 + seconds)
+    frames = _without(can_frames(vehicle.imu[0]), 6, 6 + seconds)
     flown = flights.fly(
         [*frames, *_aids(vehicle)], flights.with_can(config, "imu"), tmp_path / "run.mcap"
     )
@@ -122,7 +122,7 @@ def test_a_silent_imu(copter: Flight, tmp_path: Path, seconds: float) -> None:
 
 def test_a_silent_receiver(copter: Flight, tmp_path: Path) -> None:
     vehicle, config = copter
-    fixes = _without(pieces(vehicle.gnss[0]), 10, 15)
+    fixes = _without(pieces(vehicle.gnss[0]), 6, 9)
     others = [p for s in (*vehicle.baro, *vehicle.mag) for p in pieces(s)]
     flown = flights.fly(
         [*can_frames(vehicle.imu[0]), *fixes, *others],
@@ -234,7 +234,7 @@ def test_samples_that_are_no_numbers_or_come_twice(copter: Flight, tmp_path: Pat
     vehicle, config = copter
     imu = vehicle.imu[0]
     gyro = imu.gyro_b.copy()
-    gyro[3000:3003] = np.nan
+    gyro[1500:1503] = np.nan
     bad: ImuSamples = replace(imu, gyro_b=gyro)
     twice = [p for p in pieces(bad) for _ in range(2)]
     aids = [p for p in _aids(vehicle) for _ in range(2)]
