@@ -15,7 +15,7 @@ import pytest
 from companion.cli import app as surface
 from companion.cli import main
 
-COMMANDS = ("replay", "evaluate", "export", "simulate", "bench", "check", "demo", "run")
+COMMANDS = ("replay", "evaluate", "export", "simulate", "bench", "check", "demo", "run", "watch")
 
 
 class Ran:

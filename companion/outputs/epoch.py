@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,10 +92,22 @@ class Epoch:
         )
 
 
-def epoch_at(solution: Solution, i: int, before: Epoch | None) -> Epoch:
+class Before(NamedTuple):
+    """What is kept of an epoch for the next one's rates."""
+
+    t_ns: int
+    q_nb: F64
+    vel_n: F64
+
+
+def before_next(solution: Solution, i: int) -> Before:
+    """Row ``i`` of a solution, to be passed with the epoch after it."""
+    return Before(int(solution.t_ns[i]), solution.q_nb[i], solution.vel_n[i])
+
+
+def epoch_at(solution: Solution, i: int, before: Before | None) -> Epoch:
     """Row ``i`` of a solution; ``before`` is the epoch that rates are differences to."""
-    q = solution.q_nb[i]
-    t_ns, vel_n = int(solution.t_ns[i]), solution.vel_n[i]
+    t_ns, q, vel_n = before_next(solution, i)
     rate_b = accel_n = np.full(3, np.nan)
     if before is not None and 0 < t_ns - before.t_ns <= _LONGEST_NS:
         dt = (t_ns - before.t_ns) / NS

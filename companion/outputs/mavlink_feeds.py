@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from companion.config import Ground, ToAutopilot
 from companion.outputs import mavlink_autopilot as autopilot
 from companion.outputs import mavlink_ground as ground
-from companion.outputs.epoch import Epoch, epoch_at
+from companion.outputs.epoch import Before, Epoch, before_next, epoch_at
 from companion.outputs.local_frames import Origin, px4_ne
 from companion.outputs.pacing import Pacer
 from companion.outputs.publisher import Notice
@@ -54,16 +54,18 @@ class _Epochs:
 
     def __init__(self, rate_hz: float) -> None:
         self._pacer = Pacer(rate_hz)
+        self._before: Before | None = None
         self.last: Epoch | None = None
+        """The latest that was due."""
 
     def due(self, published: Solution) -> list[Epoch]:
         """Those to send. Rates are differences to the epoch just before, sent or not."""
         out = []
-        for i in range(len(published)):
-            epoch = epoch_at(published, i, self.last)
-            self.last = epoch
-            if self._pacer.due(epoch.t_ns):
-                out.append(epoch)
+        for i, t_ns in enumerate(published.t_ns.tolist()):
+            if self._pacer.due(t_ns):
+                self.last = epoch_at(published, i, self._before)
+                out.append(self.last)
+            self._before = before_next(published, i)
         return out
 
 

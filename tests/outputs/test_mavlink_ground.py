@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.config import Ground
 from companion.navigation.rotation import quat_from_rpy, rotate_body, rotate_nav, rpy_from_quat
 from companion.outputs import mavlink_ground as ground
-from companion.outputs.epoch import Epoch, epoch_at
+from companion.outputs.epoch import Epoch, before_next, epoch_at
 from companion.outputs.mavlink_feeds import GroundFeed
 from companion.types import (
     F64,
@@ -72,7 +72,7 @@ def state(
 def epoch(**kwargs: Any) -> Epoch:
     """The second epoch of :func:`state`."""
     made = state(**kwargs)
-    return epoch_at(made, 1, epoch_at(made, 0, None))
+    return epoch_at(made, 1, before_next(made, 0))
 
 
 def test_attitude_is_scalar_first_with_mean_rates() -> None:
