@@ -142,6 +142,9 @@ _PAUSE = 0.5
 _KNOWN = 16
 """Steps after which the period is known well enough to tell a pause."""
 
+_PAUSES = 4
+"""So many one after the other are none."""
+
 
 class Counter:
     """A counter of ``bits`` that goes up by one a sample and wraps; finds lost and repeated ones.
@@ -159,7 +162,8 @@ class Counter:
         self.period_ns = NS / rate_hz if rate_hz > 0 else 0.0
         self._modulus = 1 << bits
         self._last: tuple[int, int] | None = None
-        self._steps = 0
+        self._steps = _KNOWN if rate_hz > 0 else 0
+        self._pauses = 0
         self._late = 0.0
         """Periods that a pause and the backlog behind it leave unexplained."""
 
@@ -191,14 +195,25 @@ class Counter:
         self._last = raw, rx_ns
         self.total += steps
         # A pause and the backlog behind it say nothing of the period, once there is one.
-        if steps == 1 and not (held_up and self._steps >= _KNOWN):
+        # And what waited for us before we listened came all at once.
+        if steps == 1 and not (held_up and self._known) and (self._steps or elapsed):
             # A mean over the first samples that turns into one over the last hundred or so.
             self._steps = min(self._steps + 1, 128)
             self.period_ns += (elapsed - self.period_ns) / self._steps
         return steps
 
+    @property
+    def _known(self) -> bool:
+        return self._steps >= _KNOWN
+
     def _turns(self, steps: int, passed: float) -> int:
         """Whole turns beside ``steps`` in the ``passed`` periods since the sample before."""
+        self._pauses = self._pauses + 1 if passed >= _PAUSE * self._modulus else 0
+        if self._pauses > _PAUSES:
+            self._steps = 0  # it has become slow: learned anew
+        if not self._known:
+            self._late = 0.0
+            return 0
         missing = self._late + passed - steps
         turns = max(0, math.floor(missing / self._modulus + 0.5))
         if steps == 0:

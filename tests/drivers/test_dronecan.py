@@ -139,6 +139,23 @@ def test_a_reader_that_was_held_up_loses_nothing(stall):
     np.testing.assert_allclose(got.t_ns, T0 + STEP_NS * np.arange(1200), atol=STEP_NS // 5)
 
 
+def test_a_backlog_at_the_start_does_not_spoil_the_period():
+    groups = in_groups(DroneCanEncoder().encode(samples_of(600, interval_s=0.005)), FRAMES)
+    decoder = make_decoder("imu", "dronecan")
+    for i, group in enumerate(groups):
+        feed(decoder, group, T0 + max(i, 40) * STEP_NS, i * FRAMES)
+    assert decoder.counters.lost == decoder.counters.restarts == 0
+
+
+def test_a_unit_that_becomes_slower_is_learned_anew():
+    groups = in_groups(DroneCanEncoder().encode(samples_of(600)), FRAMES)
+    decoder = make_decoder("imu", "dronecan")
+    for i, group in enumerate(groups):
+        if i not in (550, 551):
+            feed(decoder, group, T0 + (i + 30 * max(0, i - 200)) * STEP_NS, i * FRAMES)
+    assert decoder.counters.lost == 2
+
+
 @pytest.mark.parametrize("silence", [16, 31, 32, 33, 100, 500])
 def test_a_unit_that_was_silent_has_lost_what_it_did_not_say(silence):
     groups = in_groups(DroneCanEncoder().encode(samples_of(1200, interval_s=0.005)), FRAMES)

@@ -59,7 +59,8 @@ def test_live_equals_replay(flown: dict[str, Any]) -> None:
 def test_every_sample_went_in(flown: dict[str, Any]) -> None:
     counters = flown["companion"]["counters"]
     assert {"can-imu", "GPS_RAW_INT", "SCALED_PRESSURE"} <= set(flown["rates_in"])
-    assert counters["can-imu.malformed"] == counters["can-imu.incomplete"] == 0
+    for trouble in ("malformed", "incomplete", "lost", "restarts"):
+        assert counters[f"can-imu.{trouble}"] == 0
     assert counters["can-imu.samples"] * 7 == counters["can-imu.frames"]
     assert counters["can-imu.samples"] == counters["engine.imu"]
     assert counters["can-imu.samples"] >= 0.9 * 200.0 * SECONDS
