@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
@@ -20,7 +21,6 @@ _PEER = {
     "open/return_conditions/connect_scouted": False,
     "open/return_conditions/declares": False,
     "connect/timeout_ms": -1,
-    "connect/exit_on_failure": False,
     "connect/retry": {"period_init_ms": 500, "period_max_ms": 2000, "period_increase_factor": 2},
 }
 _QUEUE = "transport/link/tx/queue"
@@ -78,10 +78,8 @@ def client_settings(endpoint: str) -> zenoh.Config:
     Raises :class:`ConfigError` for an endpoint that zenoh cannot read.
     """
     config = peer_settings((), (endpoint,))
-    for key, value in {"mode": "client", "connect/timeout_ms": 0}.items():
-        config.insert_json5(key, json.dumps(value))
-    config.insert_json5("connect/exit_on_failure", "true")
-    return config
+    config.insert_json5("mode", '"client"')
+    return _completed(config)
 
 
 def file_settings(path: Path) -> zenoh.Config:
@@ -107,7 +105,12 @@ def complaint(error: zenoh.ZError) -> str:
 
 
 def _completed(config: zenoh.Config) -> zenoh.Config:
-    """With what the publishers here rely on, whoever wrote the rest."""
-    for key, value in _NEEDED.items():
+    """With what publishers and subscribers here rely on, whoever wrote the rest."""
+    # Opening must come to an end: it is tried again from here, or by peers in the background.
+    if config.get_json("mode") == '"client"':
+        waiting: dict[str, Any] = {"connect/timeout_ms": 0, "connect/exit_on_failure": True}
+    else:
+        waiting = {"connect/exit_on_failure": False}
+    for key, value in (_NEEDED | waiting).items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -367,3 +367,18 @@ def test_a_file_decides_everything(tmp_path: Path, endpoint: str) -> None:
         publisher.event(Event(T0, "a", "one"))
         with client(endpoint) as session:
             assert event_texts(advanced(session, "companion/*/events"), 1) == ["one"]
+
+
+@pytest.mark.parametrize("mode", ["client", "peer"])
+def test_a_file_cannot_make_the_process_wait_for_a_router(
+    mode: str, tmp_path: Path, endpoint: str
+) -> None:
+    file = {"mode": mode, "scouting": {"multicast": {"enabled": False}},
+            "connect": {"endpoints": [endpoint], "timeout_ms": -1, "exit_on_failure": True},
+            "listen": {"endpoints": []}}  # fmt: skip
+    (tmp_path / "z.json5").write_text(json.dumps(file))
+    publisher = ZenohPublisher(Zenoh(config_file=str(tmp_path / "z.json5")), "v1")
+    publisher.publish(outputs(solution()), 1)
+    publisher.close()
+    publisher.link._thread.join(PATIENCE_S)
+    assert not publisher.link._thread.is_alive()
