@@ -12,7 +12,6 @@ solutions:
 
 from __future__ import annotations
 
-import hashlib
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -22,6 +21,7 @@ from companion.config import DEG, Config
 from companion.estimation import update as up
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
+from companion.estimation.digest import RowDigest
 from companion.estimation.error_state import ErrorStateFilter
 from companion.estimation.recording import Recording, Tape
 from companion.measurements.barometer import pressure_height
@@ -105,8 +105,8 @@ class Engine:
         self._sources: dict[str, dict[str, int]] = {}
         self._published_t = np.iinfo(np.int64).min
         self._said: dict[tuple[int, str], None] = {}
-        self._settled = hashlib.sha1(usedforsecurity=False)
-        self._published = hashlib.sha1(usedforsecurity=False)
+        self._settled = RowDigest()
+        self._published = RowDigest()
         self._refusals: list[AidingReports] = []
         self._last_fix: tuple[float, float, float] | None = None
         self._declination: float | None = None
@@ -402,12 +402,12 @@ class Engine:
         a = rows.after(self._published_t)
         published = _solution(rows.t[a : rows.end], rows.rows[a : rows.end])
         if a < rows.end:
-            _hash_rows(self._published, rows.t[a : rows.end], rows.rows[a : rows.end])
+            self._published.update(rows.t[a : rows.end], rows.rows[a : rows.end])
             self._published_t = int(rows.t[rows.end - 1])
         b = rows.after(horizon)
         settled = _solution(rows.t[rows.start : b], rows.rows[rows.start : b])
         if b > rows.start:
-            _hash_rows(self._settled, rows.t[rows.start : b], rows.rows[rows.start : b])
+            self._settled.update(rows.t[rows.start : b], rows.rows[rows.start : b])
             rows.start = b
         reports = self._drain_reports()
         events = self._drain_events(horizon)
@@ -469,31 +469,24 @@ def _turned(v: F64, axes: F64) -> F64:
     return np.stack([v[:, 0] * a[0] + v[:, 1] * a[1] + v[:, 2] * a[2] for a in axes], axis=1)
 
 
-def _solution(t: I64, r: F64) -> Solution:
-    """Output rows as columns (copied: the buffers are reused)."""
+def _solution(t: I64, rows: F64) -> Solution:
+    """Output rows as columns, views of one copy: the buffers are reused."""
     if len(t) == 0:
         return _NO_SOLUTION
+    r = rows.copy()
     return Solution(
         t.copy(),
-        r[:, w.O_LAT].copy(),
-        r[:, w.O_LAT + 1].copy(),
-        r[:, w.O_LAT + 2].copy(),
-        r[:, w.O_VEL : w.O_VEL + 3].copy(),
-        r[:, w.O_Q : w.O_Q + 4].copy(),
-        r[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3].copy(),
-        r[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3].copy(),
-        r[:, w.O_COV : w.O_COV + 30].reshape(-1, 5, 6).copy(),
+        r[:, w.O_LAT],
+        r[:, w.O_LAT + 1],
+        r[:, w.O_LAT + 2],
+        r[:, w.O_VEL : w.O_VEL + 3],
+        r[:, w.O_Q : w.O_Q + 4],
+        r[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3],
+        r[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3],
+        r[:, w.O_COV : w.O_COV + 30].reshape(-1, 5, 6),
         r[:, w.O_MODE].astype(np.int64),
         r[:, w.O_RESETS].astype(np.int64),
     )
-
-
-def _hash_rows(digest: hashlib._Hash, t: I64, rows: F64) -> None:
-    """Feed epochs to a digest, each as its time and its row, however many come at once."""
-    block = np.empty((len(t), 1 + w.ROW_SIZE))
-    block[:, 0] = t.view(np.float64)
-    block[:, 1:] = rows
-    digest.update(block.tobytes())
 
 
 def _join(parts: list[Outputs]) -> Outputs:

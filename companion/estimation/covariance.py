@@ -3,8 +3,8 @@
     P ← Φ P Φᵀ + Q
 
 The inertial sums of the interval (see mechanisation.py) make Φ exact to second order, so the
-interval may span several samples. Nothing here multiplies by a zero block: 92 of 225 coefficients
-of Φ are walked for fifteen states.
+interval may span several samples. Nothing here multiplies by a zero block, 92 of 225 coefficients
+of Φ are walked for fifteen states, and of Φ P Φᵀ only the lower half is worked out.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ from companion.navigation.layout import (
     L_GNSS,
     L_GYRO_SCALE,
     L_N,
+    LAST_GYRO,
+    MAX_STATES,
     POS,
     SUM_T,
     SUM_XA,
@@ -47,53 +49,85 @@ from companion.navigation.layout import (
 from companion.navigation.layout import P as P_OFFSET
 from companion.types import F64, I64
 
+STRIDE = (MAX_STATES + 7) // 8 * 8
+"""Columns of the scratch that covariances are worked on in."""
 
-@njit("void(f8[:, :, ::1], i8, i8, f8[:, ::1], i8, f8[:, ::1])", cache=True)
-def apply_transition(B: F64, i_sa: int, i_sg: int, X: F64, cols: int, Y: F64) -> None:
-    """``Y[:9]`` ← rows p, v, φ of Φ times ``X`` (n, ≥ ``cols``), by the blocks that exist.
 
-    One pass over the columns for each row of Φ, its coefficients in locals: the compiler turns the
-    inner loops into vector code. ``i_sa``, ``i_sg``: scale-factor states or −1.
+@njit("void(f8[:, :, ::1], i8, i8, f8[::1], i8, i8, i8, f8[::1])", cache=True)
+def _apply(B: F64, i_sa: int, i_sg: int, X: F64, p: int, v: int, a: int, Y: F64) -> None:
+    """Rows p, v, φ of Φ times the first ``p``, ``v``, ``a`` columns of ``X``, into ``Y``.
+
+    Both are flat with rows of :data:`STRIDE`: with distances that it knows, the compiler makes
+    vector code of the inner loops. Coefficients are in locals for the same reason.
     """
     for i in range(3):
         a0, a1, a2, T = B[0, i, 0], B[0, i, 1], B[0, i, 2], B[1, i, i]
         b0, b1, b2 = B[2, i, 0], B[2, i, 1], B[2, i, 2]
         c0, c1, c2 = B[3, i, 0], B[3, i, 1], B[3, i, 2]
         d0, d1, d2 = B[4, i, 0], B[4, i, 1], B[4, i, 2]
-        for j in range(cols):
-            Y[i, j] = (
-                (a0 * X[0, j] + a1 * X[1, j] + a2 * X[2, j] + T * X[3 + i, j])
-                + (b0 * X[6, j] + b1 * X[7, j] + b2 * X[8, j])
-                + (c0 * X[9, j] + c1 * X[10, j] + c2 * X[11, j])
-                + (d0 * X[12, j] + d1 * X[13, j] + d2 * X[14, j])
+        out, own = Y[i * STRIDE :], X[(3 + i) * STRIDE :]
+        for j in range(p):
+            out[j] = (
+                (a0 * X[j] + a1 * X[STRIDE + j] + a2 * X[2 * STRIDE + j] + T * own[j])
+                + (b0 * X[6 * STRIDE + j] + b1 * X[7 * STRIDE + j] + b2 * X[8 * STRIDE + j])
+                + (c0 * X[9 * STRIDE + j] + c1 * X[10 * STRIDE + j] + c2 * X[11 * STRIDE + j])
+                + (d0 * X[12 * STRIDE + j] + d1 * X[13 * STRIDE + j] + d2 * X[14 * STRIDE + j])
             )
         a0, a1, a2, g = B[9, i, 0], B[9, i, 1], B[9, i, 2], B[8, i, 2]
         b0, b1, b2 = B[10, i, 0], B[10, i, 1], B[10, i, 2]
         c0, c1, c2 = B[11, i, 0], B[11, i, 1], B[11, i, 2]
         d0, d1, d2 = B[12, i, 0], B[12, i, 1], B[12, i, 2]
-        for j in range(cols):
-            Y[3 + i, j] = (
-                (g * X[2, j] + a0 * X[3, j] + a1 * X[4, j] + a2 * X[5, j])
-                + (b0 * X[6, j] + b1 * X[7, j] + b2 * X[8, j])
-                + (c0 * X[9, j] + c1 * X[10, j] + c2 * X[11, j])
-                + (d0 * X[12, j] + d1 * X[13, j] + d2 * X[14, j])
+        out = Y[(3 + i) * STRIDE :]
+        for j in range(v):
+            out[j] = (
+                (g * X[2 * STRIDE + j])
+                + (a0 * X[3 * STRIDE + j] + a1 * X[4 * STRIDE + j] + a2 * X[5 * STRIDE + j])
+                + (b0 * X[6 * STRIDE + j] + b1 * X[7 * STRIDE + j] + b2 * X[8 * STRIDE + j])
+                + (c0 * X[9 * STRIDE + j] + c1 * X[10 * STRIDE + j] + c2 * X[11 * STRIDE + j])
+                + (d0 * X[12 * STRIDE + j] + d1 * X[13 * STRIDE + j] + d2 * X[14 * STRIDE + j])
             )
         a0, a1, a2 = B[17, i, 0], B[17, i, 1], B[17, i, 2]
         b0, b1, b2 = B[18, i, 0], B[18, i, 1], B[18, i, 2]
         d0, d1, d2 = B[20, i, 0], B[20, i, 1], B[20, i, 2]
-        for j in range(cols):
-            Y[6 + i, j] = (
-                (a0 * X[3, j] + a1 * X[4, j] + a2 * X[5, j])
-                + (b0 * X[6, j] + b1 * X[7, j] + b2 * X[8, j])
-                + (d0 * X[12, j] + d1 * X[13, j] + d2 * X[14, j])
+        out = Y[(6 + i) * STRIDE :]
+        for j in range(a):
+            out[j] = (
+                (a0 * X[3 * STRIDE + j] + a1 * X[4 * STRIDE + j] + a2 * X[5 * STRIDE + j])
+                + (b0 * X[6 * STRIDE + j] + b1 * X[7 * STRIDE + j] + b2 * X[8 * STRIDE + j])
+                + (d0 * X[12 * STRIDE + j] + d1 * X[13 * STRIDE + j] + d2 * X[14 * STRIDE + j])
             )
-    for at, row, block in ((i_sa, 0, 5), (i_sa, 3, 13), (i_sg, 0, 6), (i_sg, 3, 14), (i_sg, 6, 22)):
+    for at, row, block, cols in (
+        (i_sa, 0, 5, p),
+        (i_sa, 3, 13, v),
+        (i_sg, 0, 6, p),
+        (i_sg, 3, 14, v),
+        (i_sg, 6, 22, a),
+    ):
         if at >= 0:
             for i in range(3):
                 for k in range(3):
                     c = B[block, i, k]
+                    out, own = Y[(row + i) * STRIDE :], X[(at + k) * STRIDE :]
                     for j in range(cols):
-                        Y[row + i, j] += c * X[at + k, j]
+                        out[j] += c * own[j]
+
+
+@njit("void(f8[:, :, ::1], i8, i8, f8[:, ::1], i8, f8[:, ::1])", cache=True)
+def apply_transition(B: F64, i_sa: int, i_sg: int, X: F64, cols: int, Y: F64) -> None:
+    """``Y[:9]`` ← rows p, v, φ of Φ times ``X`` (n, ≥ ``cols``), by the blocks that exist.
+
+    ``i_sa``, ``i_sg``: scale-factor states or −1. At most :data:`STRIDE` columns.
+    """
+    n = X.shape[0]
+    W = np.empty((n + 9, STRIDE))
+    for i in range(n):
+        for j in range(cols):
+            W[i, j] = X[i, j]
+    flat = W.reshape(-1)
+    _apply(B, i_sa, i_sg, flat, cols, cols, cols, flat[n * STRIDE :])
+    for i in range(9):
+        for j in range(cols):
+            Y[i, j] = W[n + i, j]
 
 
 @njit("void(f8[::1], i8[::1], f8[::1])", cache=True)
@@ -146,7 +180,7 @@ def _decay_and_noise(s: F64, lay: I64, par: F64) -> None:
 def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
     """Close the running interval: P ← Φ P Φᵀ + Q in ``s``, and clear the sums.
 
-    ``B`` (24, 3, 3) and ``W`` (n + 9, n) are scratch. False when the state or a variance is no
+    ``B`` (24, 3, 3) and ``W`` (n + 9, STRIDE) are scratch. False when the state or a variance is no
     longer finite and positive. In feedforward mode the carried error moves on by the same Φ.
     """
     T = s[SUM_T]
@@ -157,30 +191,33 @@ def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
     i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
     transition_blocks(s, B)
     X, Y = W[:n], W[n : n + 9]
-    apply_transition(B, i_sa, i_sg, P, n, Y)
-    for i in range(9):
+    for i in range(n):
         for j in range(n):
-            X[j, i] = Y[i, j]
+            X[i, j] = P[i, j]
+    # Whole vectors of four: what is in the columns behind is never looked at.
+    wide = (n + 3) // 4 * 4
+    _apply(B, i_sa, i_sg, W[:n].reshape(-1), wide, wide, wide, W[n:].reshape(-1))
+    for i in range(9):
         for j in range(9, n):
             P[i, j] = Y[i, j]
             P[j, i] = Y[i, j]
-    for j in range(n):
-        X[j, 9] = s[DX + j]
-    apply_transition(B, i_sa, i_sg, X, 10, Y)
-    # Both halves were summed in different orders: one is kept, so P is symmetric to the bit.
+    # Φ (Φ P)ᵀ, the lower half of it, with the carried error in the first column.
+    for k in range(n):
+        X[k, 0] = s[DX + k]
+        for j in range(9):
+            X[k, 1 + j] = Y[j, k]
+    _apply(B, i_sa, i_sg, W[:n].reshape(-1), 4, 8, 12, W[n:].reshape(-1))
     for i in range(9):
-        s[DX + i] = Y[i, 9]
-        for j in range(i, 9):
-            P[i, j] = Y[i, j]
-            P[j, i] = Y[i, j]
+        s[DX + i] = Y[i, 0]
+        for j in range(i + 1):
+            P[i, j] = Y[i, 1 + j]
+            P[j, i] = Y[i, 1 + j]
     _decay_and_noise(s, lay, par)
     for i in range(SUM_T, SUM_XA + 1):
         s[i] = 0.0
     healthy = True
     for i in range(n):
-        if not (P[i, i] >= 0.0 and P[i, i] < 1e30):
-            healthy = False
-    for i in range(DX + n):
-        if not abs(s[i]) < 1e30:
-            healthy = False
+        healthy &= P[i, i] >= 0.0 and P[i, i] < 1e30 and abs(s[DX + i]) < 1e30
+    for i in range(LAST_GYRO):
+        healthy &= abs(s[i]) < 1e30
     return healthy

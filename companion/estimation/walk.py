@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
-from companion.estimation.covariance import propagate
+from companion.estimation.covariance import STRIDE, propagate
 from companion.estimation.parameters import (
     BANK,
     BASE_MODE,
@@ -306,17 +306,19 @@ def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> bool
 
     False where something in it is not finite or a variance is negative: not fit to be given out.
     """
-    for i in range(DX):
-        total[i] = s[i]
+    nominal = s
     if ipar[FEEDFORWARD] == 1:
+        for i in range(DX):
+            total[i] = s[i]
         box_plus(total, lay, s[DX : DX + lay[L_N]])
+        nominal = total
     for i in range(3):
-        row[O_LAT + i] = total[LAT + i]
-        row[O_VEL + i] = total[VEL_N + i]
-        row[O_ACCEL_BIAS + i] = total[ACCEL_BIAS_B + i]
-        row[O_GYRO_BIAS + i] = total[ACCEL_BIAS_B + 3 + i]
+        row[O_LAT + i] = nominal[LAT + i]
+        row[O_VEL + i] = nominal[VEL_N + i]
+        row[O_ACCEL_BIAS + i] = nominal[ACCEL_BIAS_B + i]
+        row[O_GYRO_BIAS + i] = nominal[ACCEL_BIAS_B + 3 + i]
     for i in range(4):
-        row[O_Q + i] = total[i]
+        row[O_Q + i] = nominal[i]
     n = lay[L_N]
     at = O_COV
     for block in range(5):
@@ -413,13 +415,16 @@ def walk(
     n = lay[L_N]
     C = np.empty((3, 3))
     B = np.empty((24, 3, 3))
-    W = np.empty((9 + n, n))
+    W = np.zeros((9 + n, STRIDE))  # zeros: leftovers that are not numbers would be slow
     H = np.zeros((3, n))
     total = np.empty(DX)
     mixed = np.empty(6)
     i, j, n_rows, n_reports = at[0], at[2], at[4], at[5]
     code = DONE
     scale = lay[L_ACCEL_SCALE] >= 0
+    # Time only grows: a cell of a grid is left where its end is reached. Dividing to find the cell
+    # of every sample on every grid was a tenth of the walk.
+    check_ns = (k[T_IMU] // CHECK_NS + 1) * CHECK_NS
     while i < at[1]:
         t = imu_t[i]
         sample = imu[i]
@@ -427,12 +432,14 @@ def walk(
             code = STOP_GAP
             break
         if (
-            t // CHECK_NS != k[T_IMU] // CHECK_NS
+            t >= check_ns
             and k[T_CHECK] != k[T_IMU]
             and (ipar[BANK] == 1 or doubtful(s, k, lay, par, ipar))
         ):
             code = STOP_CHECK
             break
+        if t >= check_ns:
+            check_ns = (t // CHECK_NS + 1) * CHECK_NS
         if k[HAVE_IMU] == 0:
             for c in range(6):
                 s[LAST_GYRO + c] = sample[c]
@@ -455,10 +462,9 @@ def walk(
             s, k, sample, t, ipar[STILL_NS], par[STILL_GYRO], par[STILL_ACCEL], par[STILL_SPEED]
         )
         standing = k[STANDING] == 3 and ipar[ZERO_VELOCITY] == 1
-        due = ipar[CONSTRAINT_NS] > 0 and t // ipar[CONSTRAINT_NS] != k[T_CONSTRAINT]
-        cell = t // ipar[COVARIANCE_NS]
-        if standing or due or cell != k[T_COVARIANCE]:
-            k[T_COVARIANCE] = cell
+        due = ipar[CONSTRAINT_NS] > 0 and t >= (k[T_CONSTRAINT] + 1) * ipar[CONSTRAINT_NS]
+        if standing or due or t >= (k[T_COVARIANCE] + 1) * ipar[COVARIANCE_NS]:
+            k[T_COVARIANCE] = t // ipar[COVARIANCE_NS]
             record_step(tape, s, lay, par)
             healthy = propagate(s, lay, par, B, W) and healthy
             if (standing or due) and healthy:
@@ -466,9 +472,8 @@ def walk(
                     s, k, lay, par, ipar, t, C, H, W, reports_t, reports, n_reports, tape
                 )
         i += 1
-        cell = t // ipar[OUTPUT_NS]
-        if healthy and cell != k[T_OUTPUT]:
-            k[T_OUTPUT] = cell
+        if healthy and t >= (k[T_OUTPUT] + 1) * ipar[OUTPUT_NS]:
+            k[T_OUTPUT] = t // ipar[OUTPUT_NS]
             rows_t[n_rows] = t
             healthy = write_row(s, k, lay, ipar, total, rows[n_rows])
             if healthy:
@@ -477,8 +482,8 @@ def walk(
         if not healthy:
             code = STOP_BROKEN
             break
-        cell = t // ipar[SNAPSHOT_NS]
-        if cell != k[T_SNAPSHOT]:
+        if t >= (k[T_SNAPSHOT] + 1) * ipar[SNAPSHOT_NS]:
+            cell = t // ipar[SNAPSHOT_NS]
             k[T_SNAPSHOT] = cell
             slot = cell % snaps.shape[0]
             for c in range(s.shape[0]):

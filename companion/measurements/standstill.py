@@ -134,9 +134,8 @@ def observe(
     closed a quarter, so that the walker applies the updates once a quarter. ``gyro``, ``accel``:
     largest spread of the means; ``speed``: fastest GNSS speed that counts as none.
     """
-    cell = t // quarter_ns
     k[STANDING] &= 1
-    if cell != k[STILL_CELL]:
+    if t >= (k[STILL_CELL] + 1) * quarter_ns:
         count = s[STILL_SUM]
         if count >= 3.0:
             slot = STILL_RING + 12 * (k[STILL_COUNT] % STILL_SUB)
@@ -152,7 +151,7 @@ def observe(
         else:
             k[STILL_COUNT] = 0
             k[STANDING] = 0
-        k[STILL_CELL] = cell
+        k[STILL_CELL] = t // quarter_ns
         for i in range(13):
             s[STILL_SUM + i] = 0.0
     s[STILL_SUM] += 1.0

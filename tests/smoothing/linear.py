@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.estimation import parameters as par
 from companion.estimation import tape as tp
-from companion.estimation.covariance import apply_transition, propagate
+from companion.estimation.covariance import STRIDE, apply_transition, propagate
 from companion.estimation.update import reset_covariance
 from companion.navigation import layout as lo
 from companion.navigation.earth import RATE
@@ -92,7 +92,7 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
         mean = np.concatenate([mean, F @ mean[last]])
         now += 1
 
-    B, W = np.zeros((24, 3, 3)), np.zeros((n + 9, n))
+    B, W = np.zeros((24, 3, 3)), np.zeros((n + 9, STRIDE))
     for step in range(steps):
         s[lo.SUM_T] = 2.0 ** -rng.integers(2, 6)
         T = s[lo.SUM_T]
