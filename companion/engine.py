@@ -13,9 +13,11 @@ solutions:
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.config import DEG, Config
 from companion.estimation import update as up
@@ -74,6 +76,24 @@ class Counters:
     rewinds: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class _Admitted:
+    """Samples of one sensor as rows of the aid table."""
+
+    kind: int
+    source: int
+    t: I64
+    rows: F64
+    heads: I64
+    """(N,) how far the inertial samples had come when each arrived [ns]."""
+    index: I64
+    """(N,) which of the samples handed over it was."""
+
+    def take(self, rows: slice | I64 | NDArray[np.bool_]) -> _Admitted:
+        t, heads, index = self.t[rows], self.heads[rows], self.index[rows]
+        return _Admitted(self.kind, self.source, t, self.rows[rows], heads, index)
+
+
 class Engine:
     """One vehicle's estimator behind its delay ring."""
 
@@ -101,10 +121,13 @@ class Engine:
         self._ring_ns = round(config.engine.delay_ring_s * NS)
         self._keep_imu_ns = self._ring_ns + round(config.alignment.window_s * NS) + 2 * NS
         self._axes = np.array(config.imu.axes, dtype=np.float64)
+        self._imu_latency_ns = round(config.imu.latency_ms * 1e6)
         self._identity = bool(np.array_equal(self._axes, np.eye(3)))
         self._sources: dict[str, dict[str, int]] = {}
-        self._published_t = np.iinfo(np.int64).min
+        self._published_t = self._settled_t = _NEVER
+        self._fresh: list[tuple[I64, F64]] = []
         self._said: dict[tuple[int, str], None] = {}
+        self._unsaid: list[Event] = []
         self._settled = RowDigest()
         self._published = RowDigest()
         self._refusals: list[AidingReports] = []
@@ -120,7 +143,7 @@ class Engine:
         Malformed samples are counted and dropped, never raised.
         """
         if len(samples) == 0:
-            return _NOTHING
+            return NOTHING
         if isinstance(samples, ImuSamples):
             return self._step_imu(samples)
         if (
@@ -129,7 +152,7 @@ class Engine:
             and not self._know_declination(samples)
         ):
             self._early_mag.append(samples)
-            return _NOTHING
+            return NOTHING
         if isinstance(samples, GnssSamples) and self._early_mag:
             self._note_place(samples)
             if self._last_fix is not None:
@@ -143,6 +166,80 @@ class Engine:
         return Outputs(
             _NO_SOLUTION, _NO_SOLUTION, self._drain_reports(), self._drain_events(_NEVER)
         )
+
+    def step_block(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
+        """Take inertial samples and the aiding that arrived among them, as their ``seq`` says.
+
+        The same bits as :meth:`step` of one arrival after the other, for a fraction of the time
+        where much of the aiding is late.
+        """
+        t, rows = self._imu_rows(imu)
+        head = self._head
+        waiting = self.config.mag.use and self._declination is None
+        plain = self.config.gnss.position and not (waiting or self._early_mag)
+        if not (plain and _in_order(t, head) and np.isfinite(rows.sum())):
+            return self._one_by_one(imu, aids)
+        self.counters.imu += len(t)
+        heads = np.concatenate(([_NEVER if head is None else head], t))
+        late: list[tuple[int, int, _Admitted]] = []
+        for samples in aids:
+            place = np.searchsorted(imu.seq, samples.seq)
+            admitted = self._admit(samples, heads[place])
+            if admitted is None:
+                continue
+            behind = admitted.t <= admitted.heads
+            self._put(admitted.take(~behind))
+            at, seq = place[admitted.index].tolist(), samples.seq[admitted.index].tolist()
+            late += [
+                (seq[m], at[m], admitted.take(slice(m, m + 1))) for m in np.flatnonzero(behind)
+            ]
+        late.sort(key=lambda one: one[0])
+        self._walk_between(t, rows, late)
+        return self._drain()
+
+    def _walk_between(self, t: I64, rows: F64, late: list[tuple[int, int, _Admitted]]) -> None:
+        """Walk new inertial samples; at the place of each late aid, go back for it.
+
+        ``late``: arrival number, place among the samples, and the aid; in order of arrival.
+        """
+        self._imu.append(t, rows)
+        end = self._imu.end
+        begin = end - len(t)
+        back: _Admitted | None = None
+        mark = until = 0
+        for _, place, aid in late:
+            if back is not None or place > 0:
+                self._imu.end = begin + place
+                self._advance(back, mark, until)
+            back, mark, until = aid, self.filter.reports.end, self.filter.now[0]
+            self._put(aid)
+            # The way forward again is walked together with what comes next.
+            self.filter.rewind(int(aid.t[0]))
+        self._imu.end = end
+        self._advance(back, mark, until)
+
+    def _advance(self, back: _Admitted | None, mark: int, until: int) -> None:
+        """Walk to the end of the samples and publish; after going back, drop repeated reports."""
+        self.filter.advance(self._imu, self._aids)
+        if back is not None:
+            self.counters.late_fused += 1
+            self.counters.rewinds += 1
+            self._keep_new_reports(mark, until, back)
+        self._publish()
+
+    def _one_by_one(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
+        queue = [(int(q), i, m) for i, a in enumerate(aids) for m, q in enumerate(a.seq)]
+        parts: list[Outputs] = []
+        sent = 0
+        for seq, index, m in sorted(queue):
+            place = int(np.searchsorted(imu.seq, seq))
+            if place > sent:
+                parts.append(self.step(imu.take(slice(sent, place))))
+                sent = place
+            parts.append(self.step(aids[index].take(slice(m, m + 1))))
+        if sent < len(imu):
+            parts.append(self.step(imu.take(slice(sent, None))))
+        return _join(parts)
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""
@@ -167,15 +264,19 @@ class Engine:
 
     # ------------------------------------------------------------------ inertial samples
 
-    def _step_imu(self, block: ImuSamples) -> Outputs:
-        t = block.t_ns - round(self.config.imu.latency_ms * 1e6)
-        rows = np.empty((len(t), 7))
+    def _imu_rows(self, block: ImuSamples) -> tuple[I64, F64]:
+        """Times of validity, and rows (N, 7) in body axes as the walk takes them."""
+        rows = np.empty((len(block), 7))
         if self._identity:
             rows[:, :3], rows[:, 3:6] = block.gyro_b, block.accel_b
         else:
             rows[:, :3] = _turned(block.gyro_b, self._axes)
             rows[:, 3:6] = _turned(block.accel_b, self._axes)
         rows[:, 6] = np.where(block.interval_s > 0, block.interval_s, 0.0)
+        return block.t_ns - self._imu_latency_ns, rows
+
+    def _step_imu(self, block: ImuSamples) -> Outputs:
+        t, rows = self._imu_rows(block)
         self.counters.imu += len(t)
         if not np.isfinite(rows.sum()):
             good = np.isfinite(rows[:, :6]).all(axis=1)
@@ -183,7 +284,7 @@ class Engine:
             t, rows = t[good], rows[good]
         parts: list[Outputs] = []
         head = self._head
-        if 0 < len(t) <= CHUNK and (head is None or t[0] > head) and np.all(t[1:] > t[:-1]):
+        if _in_order(t, head):
             self._imu.append(t, rows)
             self.filter.advance(self._imu, self._aids)
             return self._drain()
@@ -222,7 +323,7 @@ class Engine:
         self.filter.phases[0].resets = resets + 1
         self._imu.clear()
         self._aids.clear()
-        self._published_t = np.iinfo(np.int64).min
+        self._published_t = self._settled_t = _NEVER
         event = Event(
             now,
             "clock-back",
@@ -236,51 +337,67 @@ class Engine:
     # ------------------------------------------------------------------ aiding
 
     def _step_aids(self, samples: AidingSamples) -> None:
+        head = self._head
+        heads = np.full(len(samples), _NEVER if head is None else head)
+        admitted = self._admit(samples, heads)
+        if admitted is None:
+            return
+        self._put(admitted)
+        # Late: the filter's clock has already passed its time of validity.
+        late = admitted.t <= admitted.heads
+        if late.any():
+            back = admitted.take(np.flatnonzero(late))
+            mark, until = self.filter.reports.end, self.filter.now[0]
+            self.counters.late_fused += len(back.t)
+            self.counters.rewinds += 1
+            self.filter.rewind(int(back.t.min()))
+            self.filter.advance(self._imu, self._aids)
+            self._keep_new_reports(mark, until, back)
+
+    def _admit(self, samples: AidingSamples, heads: I64) -> _Admitted | None:
+        """Samples in the aid table's terms, without those refused before the filter saw them.
+
+        ``heads`` (N,): time of validity of the last inertial sample when each of them arrived.
+        """
         self.counters.aids += len(samples)
         kind, rows, t, verdict = self._aid_rows(samples)
         if kind < 0:
-            return
+            return None
         index = self._sources.setdefault(type(samples).__name__, {})
         source = index.setdefault(samples.source, len(index))
-        head = self._head
-        if head is not None:
-            verdict[(verdict == 0) & (t < head - self._ring_ns)] = Verdict.REFUSED_LATE
+        behind = (heads != _NEVER) & (t < heads - self._ring_ns)
+        verdict[(verdict == 0) & behind] = Verdict.REFUSED_LATE
         verdict[(verdict == 0) & (t > samples.t_rx_ns + FUTURE_NS)] = Verdict.REFUSED_CLOCK
-        bad = verdict != 0
-        if bad.any():
+        used = np.flatnonzero(verdict == 0)
+        if len(used) < len(t):
+            bad = verdict != 0
             self._refuse(kind, source, t[bad], verdict[bad])
-            rows, t = rows[~bad], t[~bad]
-        if len(t) == 0:
-            return
-        key = np.empty((len(t), 2), np.int64)
-        key[:, 0], key[:, 1] = kind, source
-        last = self._aids.t[self._aids.end - 1] if len(self._aids) else np.iinfo(np.int64).min
-        if t[0] > last and np.all(t[1:] > t[:-1]):
-            self._aids.append(t, rows, key)
-        else:
-            for m in range(len(t)):
-                self._aids.insert(int(t[m]), rows[m], key[m])
-        # Late: the filter's clock has already passed its time of validity.
-        late = t <= self.filter.now[0]
-        if late.any():
-            self.counters.late_fused += int(late.sum())
-            self.counters.rewinds += 1
-            first = int(t[late].min())
-            mark = self.filter.reports.end
-            until = self.filter.now[0]
-            self.filter.rewind(first)
-            self.filter.advance(self._imu, self._aids)
-            self._keep_new_reports(mark, until, t[late], kind, source)
+        if len(used) == 0:
+            return None
+        return _Admitted(kind, source, t, rows, heads, np.arange(len(t))).take(used)
 
-    def _keep_new_reports(self, mark: int, until: int, t: I64, kind: int, source: int) -> None:
+    def _put(self, aids: _Admitted) -> None:
+        """Into the aid table, sorted by time and, where that is equal, kind and source."""
+        n = len(aids.t)
+        if n == 0:
+            return
+        last = self._aids.t[self._aids.end - 1] if len(self._aids) else _NEVER
+        key = np.array([aids.kind, aids.source])
+        if aids.t[0] > last and np.all(aids.t[1:] > aids.t[:-1]):
+            self._aids.append(aids.t, aids.rows, np.broadcast_to(key, (n, 2)))
+        else:
+            for m in range(n):
+                self._aids.insert(int(aids.t[m]), aids.rows[m], key)
+
+    def _keep_new_reports(self, mark: int, until: int, new: _Admitted) -> None:
         """Of the reports walked again, keep only those of the aids that are new."""
         reports = self.filter.reports
         times = reports.t[mark : reports.end]
         rows = reports.rows[mark : reports.end]
-        channel = rows[:, up.R_CHANNEL].astype(np.int64)
-        own = _KIND_OF_CHANNEL[channel] == kind
-        own &= rows[:, up.R_SOURCE] == source
-        own &= (times == t[0]) if len(t) == 1 else np.isin(times, t)
+        own = (times == new.t[0]) if len(new.t) == 1 else np.isin(times, new.t)
+        if own.any():
+            own &= _KIND_OF_CHANNEL[rows[:, up.R_CHANNEL].astype(np.int64)] == new.kind
+            own &= rows[:, up.R_SOURCE] == new.source
         keep = own | (times > until)
         n = int(keep.sum())
         reports.t[mark : mark + n] = times[keep]
@@ -399,15 +516,18 @@ class Engine:
             if final
             else (head - self._ring_ns - 1 if head is not None else np.iinfo(np.int64).min)
         )
-        a = rows.after(self._published_t)
-        published = _solution(rows.t[a : rows.end], rows.rows[a : rows.end])
-        if a < rows.end:
-            self._published.update(rows.t[a : rows.end], rows.rows[a : rows.end])
-            self._published_t = int(rows.t[rows.end - 1])
+        self._publish()
+        published = _solution(self._fresh)
+        self._fresh = []
         b = rows.after(horizon)
-        settled = _solution(rows.t[rows.start : b], rows.rows[rows.start : b])
+        settled = _NO_SOLUTION
         if b > rows.start:
-            self._settled.update(rows.t[rows.start : b], rows.rows[rows.start : b])
+            # A snapshot may lie before the ring: from there, settled epochs are walked once more.
+            a = rows.after(self._settled_t)
+            if a < b:
+                self._settled.update(rows.t[a:b], rows.rows[a:b])
+                self._settled_t = int(rows.t[b - 1])
+                settled = _solution([(rows.t[a:b].copy(), rows.rows[a:b].copy())])
             rows.start = b
         reports = self._drain_reports()
         events = self._drain_events(horizon)
@@ -417,6 +537,17 @@ class Engine:
         if len(self._aids) > 1:
             self._aids.forget(int(self._aids.t[self._aids.end - 1]) - WAITING_NS)
         return Outputs(published, settled, reports, events)
+
+    def _publish(self) -> None:
+        """Set aside the epochs reached for the first time: going back may rewrite them."""
+        rows = self.filter.rows
+        a, b = rows.after(self._published_t), rows.end
+        if a < b:
+            self._published.update(rows.t[a:b], rows.rows[a:b])
+            self._published_t = int(rows.t[b - 1])
+            self._fresh.append((rows.t[a:b].copy(), rows.rows[a:b].copy()))
+        if self.filter.events:
+            self._note_events()
 
     def _drain_reports(self) -> AidingReports:
         buffer = self.filter.reports
@@ -444,21 +575,28 @@ class Engine:
         self._refusals = []
         return AidingReports.concatenate(parts)
 
+    def _note_events(self) -> None:
+        """Set aside events that were not said before: going back may take them back."""
+        for event in self.filter.events:
+            if (event.t_ns, event.kind) not in self._said:
+                self._said[(event.t_ns, event.kind)] = None
+                self._unsaid.append(event)
+
     def _drain_events(self, horizon: int) -> tuple[Event, ...]:
-        if not self.filter.events:
-            return ()
-        fresh = [e for e in self.filter.events if (e.t_ns, e.kind) not in self._said]
-        for e in fresh:
-            self._said[(e.t_ns, e.kind)] = None
-        self.filter.events = [e for e in self.filter.events if e.t_ns > horizon]
-        for key in [key for key in self._said if key[0] <= horizon]:
-            del self._said[key]
-        return tuple(fresh)
+        self._note_events()
+        fresh, self._unsaid = tuple(self._unsaid), []
+        if self.filter.events:
+            self.filter.events = [e for e in self.filter.events if e.t_ns > horizon]
+        if self._said:
+            for key in [key for key in self._said if key[0] <= horizon]:
+                del self._said[key]
+        return fresh
 
 
 _NO_REPORTS = AidingReports.empty()
 _NO_SOLUTION = Solution.empty()
-_NOTHING = Outputs(_NO_SOLUTION, _NO_SOLUTION, _NO_REPORTS, ())
+NOTHING = Outputs(_NO_SOLUTION, _NO_SOLUTION, _NO_REPORTS, ())
+"""What a step gives out that leaves nothing to say."""
 
 
 def _turned(v: F64, axes: F64) -> F64:
@@ -469,13 +607,23 @@ def _turned(v: F64, axes: F64) -> F64:
     return np.stack([v[:, 0] * a[0] + v[:, 1] * a[1] + v[:, 2] * a[2] for a in axes], axis=1)
 
 
-def _solution(t: I64, rows: F64) -> Solution:
-    """Output rows as columns, views of one copy: the buffers are reused."""
-    if len(t) == 0:
+def _in_order(t: I64, head: int | None) -> bool:
+    """Whether inertial samples can be taken as they are: some, not too many, each later."""
+    if not 0 < len(t) <= CHUNK or (head is not None and t[0] <= head):
+        return False
+    return bool(np.all(t[1:] > t[:-1]))
+
+
+def _solution(parts: list[tuple[I64, F64]]) -> Solution:
+    """Output rows, times and values of their own, as columns that are views of them."""
+    if not parts:
         return _NO_SOLUTION
-    r = rows.copy()
+    t, r = parts[0]
+    if len(parts) > 1:
+        t = np.concatenate([part[0] for part in parts])
+        r = np.concatenate([part[1] for part in parts])
     return Solution(
-        t.copy(),
+        t,
         r[:, w.O_LAT],
         r[:, w.O_LAT + 1],
         r[:, w.O_LAT + 2],

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from companion.config import Config
-from companion.engine import CLOCK_BACK_NS, Engine
+from companion.engine import CLOCK_BACK_NS, NOTHING, Engine
 from companion.selection import Thinner
 from companion.types import (
     I64,
@@ -139,6 +139,28 @@ def _aids(streams: list[AidingSamples], pending: list[tuple[int, int]]) -> Itera
         yield streams[index].take(np.array(rows, np.int64))
 
 
+def blocks(
+    vehicle: VehicleRecording, config: Config, block_s: float = BLOCK_S
+) -> Iterator[tuple[ImuSamples, list[AidingSamples]]]:
+    """The recording cut into blocks of IMU samples, each with the aiding that arrived among it."""
+    imu = choose_imu(vehicle, config)
+    streams = choose_aids(vehicle, config)
+    step = np.median(np.diff(imu.t_ns)) if len(imu) > 1 else NS
+    size = max(1, int(block_s * NS / max(step, 1)))
+    begins = np.arange(0, max(len(imu), 1), size)
+    # A block takes what arrived before the next one begins.
+    ends = [np.append(np.searchsorted(s.seq, imu.seq[begins[1:]]), len(s)) for s in streams]
+    done = [0] * len(streams)
+    for n, begin in enumerate(begins.tolist()):
+        among = []
+        for index, stream in enumerate(streams):
+            end = int(ends[index][n])
+            if end > done[index]:
+                among.append(stream.take(slice(done[index], end)))
+            done[index] = end
+        yield imu.take(slice(begin, begin + size)), among
+
+
 def play(
     vehicle: VehicleRecording,
     config: Config,
@@ -147,16 +169,19 @@ def play(
 ) -> Engine:
     """Run a recording through a new engine; ``sink`` gets every arrival with what came of it.
 
-    ``block_s``: longest IMU block of an arrival [s]. It changes how often there is something to
-    see, and nothing of the solution.
+    What came of a block and the aiding among it comes with the block's inertial samples.
+    ``block_s``: longest block [s]. It changes how often there is something to see, and nothing of
+    the solution.
     """
     engine = Engine(config)
     last: AnySamples | None = None
-    for block in arrivals(vehicle, config, block_s):
-        out = engine.step(block)
-        last = block
+    for imu, aids in blocks(vehicle, config, block_s):
+        out = engine.step_block(imu, aids)
+        last = imu
         if sink is not None:
-            sink(block, out)
+            for samples in aids:
+                sink(samples, NOTHING)
+            sink(imu, out)
     out = engine.finish()
     if sink is not None and last is not None:
         sink(last.take(slice(0, 0)), out)

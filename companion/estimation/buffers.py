@@ -53,14 +53,13 @@ class SampleBuffer:
         self._room(1)
         at = self.end
         k0, k1 = int(key[0]), int(key[1])
-        while at > self.start:
-            before = (int(self.t[at - 1]), int(self.key[at - 1, 0]), int(self.key[at - 1, 1]))
-            if before <= (t, k0, k1):
+        while at > self.start and self.t[at - 1] >= t:
+            if self.t[at - 1] == t and (self.key[at - 1, 0], self.key[at - 1, 1]) <= (k0, k1):
                 break
             at -= 1
-        self.t[at + 1 : self.end + 1] = self.t[at : self.end].copy()
-        self.key[at + 1 : self.end + 1] = self.key[at : self.end].copy()
-        self.rows[at + 1 : self.end + 1] = self.rows[at : self.end].copy()
+        if at < self.end:
+            for column in (self.t, self.key, self.rows):
+                column[at + 1 : self.end + 1] = column[at : self.end].copy()
         self.t[at], self.key[at], self.rows[at] = t, key, row
         self.end += 1
 

@@ -40,14 +40,17 @@ class Filter:
 
     def restore(self, before: int) -> None:
         """Back to the newest snapshot older than ``before``, or to the beginning."""
-        times = self.snaps_k[:, lo.T_NOW]
-        good = np.flatnonzero(times < before)
-        slot = int(good[np.argmax(times[good])]) if len(good) else -1
-        if slot >= 0 and times[slot] > np.iinfo(np.int64).min:
+        never = np.iinfo(np.int64).min
+        times = self.snaps_k[:, lo.T_NOW].tolist()
+        newest = max((t for t in times if t < before), default=never)
+        if newest > never:
+            slot = times.index(newest)
             self.s[:], self.k[:] = self.snaps[slot], self.snaps_k[slot]
         else:
             self.s[:], self.k[:] = self.first
-        self.snaps_k[times >= before] = np.iinfo(np.int64).min
+        for slot, t in enumerate(times):
+            if t >= before:
+                self.snaps_k[slot] = never
 
 
 @dataclass(frozen=True, slots=True)

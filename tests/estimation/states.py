@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.config import Config
 from companion.estimation import parameters as par
-from companion.estimation.covariance import propagate
+from companion.estimation.covariance import STRIDE, propagate
 from companion.navigation import earth
 from companion.navigation import layout as lo
 from companion.navigation.earth import ned_difference
@@ -101,6 +101,6 @@ def close_interval(s: F64, layout: lo.Layout, config: Config) -> bool:
     return bool(
         propagate(
             s, layout.vector(), par.parameter_vector(config), np.empty((24, 3, 3)),
-            np.empty((9 + n, n)),
+            np.zeros((9 + n, STRIDE)),
         )
     )  # fmt: skip
