@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from companion.config import Config
+from companion.engine import Engine
 from companion.types import F64, NS, Mode, Outputs, Solution, VehicleRecording
 from replay.bench import floor, peer
 from replay.bench.flight import cut, flight
 from replay.bench.measuring import Progress, cpu_s, interleaved
 from replay.evaluation import errors_against
-from replay.player import play
+from replay.player import blocks, play
 
 LATE_MS = 100.0
 """Of the fixes in the second flight: a receiver's own time, inside the delay ring."""
@@ -23,6 +25,10 @@ PEER_FROM_S, PEER_S = 600.0, 300.0
 _SETTLING_S = 60.0
 """From the heading's being found to where errors are compared: both have forgotten the start."""
 TARGET_RATIO = 60.0
+LIVE_FROM_S, LIVE_S = 60.0, 30.0
+"""The slice that is flown one inertial sample a call."""
+LIVE_TARGET_US = 60.0
+"""Of a call, for an IMU at 1 kHz to leave most of a core to everything else."""
 
 
 def solve(vehicle: VehicleRecording, config: Config) -> Solution:
@@ -60,10 +66,31 @@ def _rms(errors: F64) -> float:
     return math.sqrt(float(np.mean(np.sum(errors**2, axis=1))))
 
 
+def _live_call(vehicle: VehicleRecording, config: Config) -> Callable[[], float]:
+    """CPU time [s] of one call of the engine with one inertial sample, as live, in flight."""
+    before, after = cut(vehicle, 0.0, LIVE_FROM_S), cut(vehicle, LIVE_FROM_S, LIVE_FROM_S + LIVE_S)
+    imu = after.imu[0]
+    samples = [imu.take(slice(m, m + 1)) for m in range(len(imu))]
+
+    def run() -> float:
+        engine = Engine(config)
+        for block, aids in blocks(before, config):
+            engine.step_block(block, aids)
+
+        def fly() -> None:
+            for sample in samples:
+                engine.step(sample)
+
+        return cpu_s(fly) / len(samples)
+
+    return run
+
+
 def filter_figures(duration_s: float, repeats: int, progress: Progress) -> dict[str, Any]:
     """Time of each per IMU epoch, ratios of medians, and position errors.
 
-    Turn by turn: engine with fixes in order, engine with fixes 100 ms late, floor, peer.
+    Turn by turn: engine with fixes in order, with fixes 100 ms late, with one sample a call, floor,
+    peer.
     """
     vehicle, config = flight(duration_s)
     late, late_config = flight(duration_s, gnss_latency_ms=LATE_MS)
@@ -84,6 +111,7 @@ def filter_figures(duration_s: float, repeats: int, progress: Progress) -> dict[
     runs = {
         "engine": lambda: cpu_s(lambda: play(vehicle, config)) / epochs,
         "engine_late": lambda: cpu_s(lambda: play(late, late_config)) / epochs,
+        "live": _live_call(vehicle, config),
         "floor": lambda: cpu_s(lambda: floor.run(given)) / len(given.t_ns),
     }
     if peer.available():
@@ -114,6 +142,8 @@ def filter_lines(f: dict[str, Any]) -> list[str]:
         f"  engine, fixes in order       {f['engine_us_per_epoch']:8.2f} µs "
         f"({f['times_real_time']:.0f} times real time)",
         f"  engine, fixes {LATE_MS:.0f} ms late    {f['engine_late_us_per_epoch']:8.2f} µs",
+        f"  engine, one sample a call    {f['live_us_per_epoch']:8.2f} µs as live "
+        f"(target {LIVE_TARGET_US:.0f})",
         f"  floor: bare jitted loop      {f['floor_us_per_epoch']:8.2f} µs; the engine is "
         f"{f['above_floor']:.1f} times that, {f['late_above_floor']:.1f} with late fixes",
     ]
