@@ -19,6 +19,8 @@ _BLOCK_NS = NS
 _BLOCKS = 10
 _FIT_BLOCKS = 4
 """With fewer of them a slope would follow the scatter of the least delays."""
+_SCATTER_NS = 2e6
+"""Least delays of a second scatter by less than this while the bus is read in time."""
 _SLEW = 2e-3
 """Fastest correction of the offset, s/s: a sample interval is off by 0.2 % at most."""
 _EARLY_NS = NS
@@ -45,7 +47,7 @@ class SensorClock:
         self._offset = 0.0
         self._slope = 0.0
         self._anchor: float | None = None
-        self._late_since: float | None = None
+        self._late_since: int | None = None
         self._blocks: deque[tuple[float, float]] = deque(maxlen=_BLOCKS)
         self._block_end = float(_BLOCK_NS)
         self._least = (0.0, 0.0)
@@ -79,8 +81,8 @@ class SensorClock:
         if excess < _LATE_NS:
             self._late_since = None
         elif self._late_since is None:
-            self._late_since = x
-        return self._late_since is not None and x - self._late_since > _LATE_FOR_NS
+            self._late_since = rx_ns
+        return self._late_since is not None and rx_ns - self._late_since > _LATE_FOR_NS
 
     def _settle(self, x: float, delay: float) -> None:
         """Move the offset towards the envelope's line, seen up to this sample."""
@@ -103,17 +105,28 @@ class SensorClock:
         self._offset = min(ahead + max(-limit, min(limit, target - ahead)), delay)
 
     def _fit(self) -> None:
-        """Slope by least squares over the blocks' least delays; the line lies under all of them."""
-        n = len(self._blocks)
-        if n < _FIT_BLOCKS:
+        """Slope by least squares over the blocks' least delays; the line lies under all of them.
+
+        A block far above the lowest one is a second in which nothing came in time, and says
+        nothing of the clock.
+        """
+        if len(self._blocks) < _FIT_BLOCKS:
             return
-        mean_x = sum(x for x, _ in self._blocks) / n
-        mean_y = sum(y for _, y in self._blocks) / n
-        sxx = sum((x - mean_x) ** 2 for x, _ in self._blocks)
-        sxy = sum((x - mean_x) * (y - mean_y) for x, y in self._blocks)
-        slope = sxy / sxx if sxx > 0.0 else 0.0
-        self._slope = max(-self._drift, min(self._drift, slope))
-        self._anchor = min(y - self._slope * x for x, y in self._blocks)
+        x0, y0 = min(self._blocks, key=_delay)
+        good = [
+            (x, y) for x, y in self._blocks if y - y0 <= _SCATTER_NS + self._drift * abs(x - x0)
+        ]
+        if len(good) >= _FIT_BLOCKS:
+            mean_x = sum(x for x, _ in good) / len(good)
+            mean_y = sum(y for _, y in good) / len(good)
+            sxx = sum((x - mean_x) ** 2 for x, _ in good)
+            sxy = sum((x - mean_x) * (y - mean_y) for x, y in good)
+            self._slope = max(-self._drift, min(self._drift, sxy / sxx))
+        self._anchor = min(y - self._slope * x for x, y in good)
+
+
+def _delay(block: tuple[float, float]) -> float:
+    return block[1]
 
 
 class Unwrapped:

@@ -145,6 +145,12 @@ class CanImuDecoder(ABC):
         self._values.append((gx, gy, gz, ax, ay, az, interval_s))
 
     def _note_saturation(self, sample: tuple[float, ...]) -> None:
+        a, b, c, d, e, f = sample
+        i, j, k, m, n, o = self._limits
+        if -i < a < i and -j < b < j and -k < c < k and -m < d < m and -n < e < n and -o < f < o:
+            # Nearly always: this is on the hot path.
+            self.saturated = ()
+            return
         self.saturated = tuple(
             name
             for name, value, limit in zip(AXIS_NAMES, sample, self._limits, strict=True)

@@ -154,7 +154,8 @@ class GroupedDecoder(CanImuDecoder):
     def _admit(self, part: int, t_rx_ns: int, same: bool) -> bool:
         """Whether an inertial part becomes part of the pending sample; ``same``: as it was."""
         number = int(part == _ACCEL)
-        self._order.heard(number, t_rx_ns)
+        if not self._led:
+            self._order.heard(number, t_rx_ns)
         if self._have & part:
             if same:
                 # A copy, or a sensor at rest whose other frame was lost: validity is the later one.
