@@ -14,6 +14,7 @@ from companion.types import CompanionError, ImuSamples, LogFormatError
 from drivers.can_imu import CanFrame, make_encoder
 from replay.can_recording import read_can
 from replay.candump import candump_line, parse_candump, read_frames
+from replay.configuration import choose_config
 from replay.joining import on_arrival_clock
 from replay.reader import read_log
 from replay.simulator import load_scenario
@@ -256,6 +257,8 @@ class TestJoining:
         rx = np.concatenate([s.t_rx_ns for s in everything])
         assert len(np.unique(seq)) == len(seq)
         assert (np.diff(rx[np.argsort(seq)]) >= 0).all()
+        chosen = choose_config(recording)
+        assert (chosen.config.imu.latency_ms, chosen.config.gnss.latency_ms) == (0.0, 100.0)
         again = read_log([tlog, log]).vehicles[0]
         assert np.array_equal(again.imu[0].seq, vehicle.imu[0].seq), "the order given says nothing"
 
