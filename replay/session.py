@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from companion import __version__
+from companion.config import Config
+from companion.estimation.gnss_latency import GnssLatencyEstimator
 from companion.logbook import LogWriter
 from companion.outputs.publisher import Publisher
 from companion.types import (
@@ -62,6 +64,7 @@ class _Collector:
     def __init__(
         self,
         vehicle: VehicleRecording,
+        config: Config,
         writer: LogWriter | None,
         speed: float | None,
         progress: Progress | None,
@@ -70,6 +73,7 @@ class _Collector:
         self.published: list[Solution] = []
         self.reports: list[AidingReports] = []
         self.events: list[Event] = []
+        self._latency = GnssLatencyEstimator(config)
         self._name = vehicle.name
         self._writer = writer
         self._speed = speed
@@ -93,6 +97,11 @@ class _Collector:
         if self._writer is not None:
             self._writer.samples(samples, self._name)
             self._writer.outputs(outputs, self._name)
+        self._latency.add(samples, outputs)
+        for event in self._latency.events():
+            self.events.append(event)
+            if self._writer is not None:
+                self._writer.event(event, self._name)
 
     def _arrived(self, elapsed_ns: int) -> None:
         if self._speed is not None:
@@ -123,7 +132,7 @@ def run_session(
     publication = None
     if publisher is not None:
         publication = Publication(publisher, flown.name, chosen.config, start_ns(flown))
-    collector = _Collector(flown, writer, speed, progress, publication)
+    collector = _Collector(flown, chosen.config, writer, speed, progress, publication)
     wall, cpu = time.monotonic(), time.process_time()
     if writer is not None:
         writer.describe(flown)

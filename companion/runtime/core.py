@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from companion.config import Config
 from companion.engine import Engine
+from companion.estimation.gnss_latency import GnssLatencyEstimator
 from companion.logbook import LogWriter
 from companion.runtime.clock import Reading
 from companion.runtime.health import HealthMonitor
@@ -121,6 +122,7 @@ class Core:
         self.config = config
         self.vehicle = config.vehicle.name
         self.engine = Engine(config)
+        self._latency = GnssLatencyEstimator(config)
         self._writer = writer
         self._decoders = decoders
         self._session = session
@@ -233,7 +235,11 @@ class Core:
         if len(self.selection.chosen) != self._chosen:
             self._note_choice()
         if fed is not None:
-            self._give_out(self.engine.step(fed))
+            out = self.engine.step(fed)
+            self._give_out(out)
+            self._latency.add(fed, out)
+            for event in self._latency.events():
+                self.event(event)
 
     def _give_out(self, out: Outputs) -> None:
         if len(out.published):
