@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NoReturn
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 
 from companion.outputs.subscriber import Subscriber
@@ -22,6 +22,8 @@ FIND_S = 3.0
 LOOK_S = 1.2
 """For --once: how long to look before the picture; health comes once a second."""
 REFRESH_S = 0.25
+PLAIN_S = 2.0
+"""Between pictures where the output is no terminal."""
 _OTHER_LINES = 32
 """Of the picture without events, about."""
 
@@ -69,20 +71,34 @@ def _nobody(subscriber: Subscriber, where: str) -> str:
 
 
 def _follow(console: Console, subscriber: Subscriber, where: str) -> NoReturn:
-    fleet = Fleet()
-    shown: VehiclePicture | None = None
-    with Live(console=console, auto_refresh=False, screen=console.is_terminal) as live:
+    """Until Ctrl-C: in place on a terminal, else one picture after the other."""
+    following = _Following(console, subscriber, where)
+    if not console.is_terminal:
         while True:
-            _listen(fleet, subscriber, REFRESH_S)
-            now_ns = time.monotonic_ns()
-            # Stay with a vehicle as long as it speaks.
-            if shown is None or shown.age_s(now_ns) > 1.0:
-                shown = fleet.chosen(now_ns)
-            if shown is None:
-                live.update(f"waiting: {_nobody(subscriber, where)}", refresh=True)
-            else:
-                room = max(3, console.height - _OTHER_LINES)
-                live.update(fleet_view(fleet, shown, now_ns, last=room), refresh=True)
+            console.print(following.picture(PLAIN_S), "")
+    with Live(console=console, auto_refresh=False, screen=True) as live:
+        while True:
+            live.update(following.picture(REFRESH_S), refresh=True)
+
+
+class _Following:
+    """The picture as it changes; stays with a vehicle as long as that speaks."""
+
+    def __init__(self, console: Console, subscriber: Subscriber, where: str) -> None:
+        self._console, self._subscriber, self._where = console, subscriber, where
+        self._fleet = Fleet()
+        self._shown: VehiclePicture | None = None
+
+    def picture(self, seconds: float) -> RenderableType:
+        """Listen for this long, then look."""
+        _listen(self._fleet, self._subscriber, seconds)
+        now_ns = time.monotonic_ns()
+        if self._shown is None or self._shown.age_s(now_ns) > 1.0:
+            self._shown = self._fleet.chosen(now_ns)
+        if self._shown is None:
+            return f"waiting: {_nobody(self._subscriber, self._where)}"
+        room = max(3, self._console.height - _OTHER_LINES)
+        return fleet_view(self._fleet, self._shown, now_ns, last=room)
 
 
 def _listen(fleet: Fleet, subscriber: Subscriber, seconds: float) -> None:

@@ -90,16 +90,17 @@ def test_another_vehicle_is_not_shown() -> None:
     assert ran.stderr == f"error: {endpoint}: connected, and no vehicle publishes\n"
 
 
-def test_following_ends_with_an_interrupt() -> None:
+def test_following_prints_pictures_and_ends_with_an_interrupt() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-m", "companion", "watch", "--connect", endpoint]
+    command = [sys.executable, "-u", "-m", "companion", "watch", "--connect", endpoint]
     with (
-        publishing(endpoint) as publisher,
+        publishing(endpoint),
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run,
     ):
-        live = publisher.link.live
-        assert live is not None
-        wait_for(lambda: live.publishers["nav/state"].matching_status.matching, "watched")
+        assert run.stdout is not None
+        heads = (line for line in run.stdout if line.startswith("Vehicle v1"))
+        assert "NAVIGATING" in next(heads)
+        assert "NAVIGATING" in next(heads)
         run.send_signal(signal.SIGINT)
         _, err = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 0
