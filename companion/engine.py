@@ -12,6 +12,7 @@ solutions:
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -177,7 +178,7 @@ class Engine:
         head = self._head
         waiting = self.config.mag.use and self._declination is None
         plain = self.config.gnss.position and not (waiting or self._early_mag)
-        if not (plain and _in_order(t, head) and np.isfinite(rows.sum())):
+        if not (plain and _in_order(t, head) and math.isfinite(rows.sum())):
             return self._one_by_one(imu, aids)
         self.counters.imu += len(t)
         heads = np.concatenate(([_NEVER if head is None else head], t))
@@ -278,7 +279,7 @@ class Engine:
     def _step_imu(self, block: ImuSamples) -> Outputs:
         t, rows = self._imu_rows(block)
         self.counters.imu += len(t)
-        if not np.isfinite(rows.sum()):
+        if not math.isfinite(rows.sum()):
             good = np.isfinite(rows[:, :6]).all(axis=1)
             self.counters.imu_not_finite += len(t) - int(good.sum())
             t, rows = t[good], rows[good]
@@ -384,7 +385,7 @@ class Engine:
         last = self._aids.t[self._aids.end - 1] if len(self._aids) else _NEVER
         key = np.array([aids.kind, aids.source])
         if aids.t[0] > last and np.all(aids.t[1:] > aids.t[:-1]):
-            self._aids.append(aids.t, aids.rows, np.broadcast_to(key, (n, 2)))
+            self._aids.append(aids.t, aids.rows, key)
         else:
             for m in range(n):
                 self._aids.insert(int(aids.t[m]), aids.rows[m], key)
@@ -611,7 +612,7 @@ def _in_order(t: I64, head: int | None) -> bool:
     """Whether inertial samples can be taken as they are: some, not too many, each later."""
     if not 0 < len(t) <= CHUNK or (head is not None and t[0] <= head):
         return False
-    return bool(np.all(t[1:] > t[:-1]))
+    return len(t) == 1 or bool(np.all(t[1:] > t[:-1]))
 
 
 def _solution(parts: list[tuple[I64, F64]]) -> Solution:

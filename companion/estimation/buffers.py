@@ -65,6 +65,11 @@ class SampleBuffer:
 
     def after(self, t: int) -> int:
         """Index of the first entry later than ``t``."""
+        # Live, it is nearly always one end or the other.
+        if self.end == self.start or self.t[self.end - 1] <= t:
+            return self.end
+        if self.t[self.start] > t:
+            return self.start
         return self.start + int(self.t[self.start : self.end].searchsorted(t, side="right"))
 
     def forget(self, before: int) -> None:
