@@ -48,6 +48,8 @@ class LiveVehicle:
         self.unit, self.plug = unit, plug
         self.adapter = slcan.SlcanAdapter()
         self.faults = Faults()
+        self.heard = 0
+        """Frames that went through the open adapter."""
         self._garbage = random.Random(seed)
 
     @property
@@ -100,6 +102,7 @@ class LiveVehicle:
         self.adapter.sent.clear()
         if not self.adapter.hears:
             return
+        self.heard += len(frames)
         lines = [slcan.line(frame) for frame in frames]
         if self.faults.on("can-garbage"):
             bad = garbage.can_garbage(frames, self._garbage)
@@ -139,6 +142,7 @@ class LiveVehicle:
                 "can_samples": self.unit.samples,
                 "can_frames": self.unit.frames,
                 "can_frames_lost": self.unit.lost,
+                "can_frames_heard": self.heard,
                 "can_commands_refused": self.adapter.refused,
             }
         if self.plug is not None:
