@@ -69,7 +69,7 @@ def lived(tmp_path_factory: pytest.TempPathFactory) -> Lived:
             companion.send_signal(signal.SIGTERM)
             companion.finish()
             summary = companion.answer(1.0)
-    yield Lived(said, began, summary, counts, read_solution(log), read_log([log]), log)
+    return Lived(said, began, summary, counts, read_solution(log), read_log([log]))
 
 
 def imu_of(lived: Lived) -> Any:
