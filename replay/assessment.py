@@ -53,6 +53,7 @@ def assess(
     window: Window | None = None,
     digest: str | None = None,
     digest_published: str | None = None,
+    solution_kind: Literal["forward", "smoothed"] = "forward",
 ) -> Evaluation:
     """Errors against truth, else against the autopilot's estimate.
 
@@ -73,6 +74,7 @@ def assess(
                 reports=reports,
                 digest=digest,
                 digest_published=digest_published,
+                solution_kind=solution_kind,
             )
         except EvaluationError as error:
             reasons.append(error)

@@ -40,7 +40,7 @@ _BATCHES: dict[str, tuple[str, Batch]] = {
     "reference/autopilot": ("autopilot", columns.REFERENCE),
 }
 _RUN_TOPICS = (schemas.CONFIG_TOPIC, schemas.VERSIONS_TOPIC, schemas.SUMMARY_TOPIC)
-_OUTPUT_TOPICS = ("nav/state", "nav/aiding", "nav/settled", "events")
+_OUTPUT_TOPICS = ("nav/state", "nav/aiding", "nav/settled", "nav/smoothed", "events")
 _LEVELS = {Log.WARNING: "warning", Log.ERROR: "error"}
 
 M = TypeVar("M")
@@ -59,6 +59,7 @@ class RunResult:
     """Of the settled solution; None in a log that was not closed."""
     digest_published: str | None
     settled: Solution | None = None
+    smoothed: Solution | None = None
     """Only where the writer was asked to keep it."""
     summary: dict[str, Any] = field(default_factory=dict)
     """This vehicle's part of what the run was closed with."""
@@ -274,6 +275,7 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
         solution = messages.decode_states(found.get("nav/state", []))
         reports = messages.decode_reports(found.get("nav/aiding", []))
         settled = _settled(found.get("nav/settled", []))
+        smoothed = messages.decode_states(found.get("nav/smoothed", []))
     except LogFormatError as error:
         raise LogFormatError(f"{path}: {error}") from None
     events = tuple(e for data in found.get("events", []) if (e := _event(run, data)) is not None)
@@ -287,6 +289,7 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
         digest=summary.get("digest"),
         digest_published=summary.get("digest_published"),
         settled=settled,
+        smoothed=smoothed if len(smoothed) else None,
         summary=summary,
         config_toml=run.config_toml,
         metadata=run.metadata,

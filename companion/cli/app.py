@@ -33,6 +33,10 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+SolutionName = Annotated[
+    Literal["forward", "smoothed"],
+    typer.Option(help="As published at the time, or smoothed (made now where the log has none)."),
+]
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="One JSON object on stdout; text for people on stderr.")
 ]
@@ -201,6 +205,7 @@ def evaluate(
             help="Only this span, in seconds from the recording's start.",
         ),
     ] = None,
+    solution: SolutionName = "forward",
     config: ConfigPath = None,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
@@ -216,7 +221,51 @@ def evaluate(
     from companion.cli.commands import evaluate_run
 
     span = windows[0] if windows else None
-    _emit_if(as_json, evaluate_run(console, run, truth, span, config, vehicle))
+    _emit_if(as_json, evaluate_run(console, run, truth, span, config, vehicle, solution))
+
+
+@app.command(no_args_is_help=True)
+def smooth(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A run log, or any log that replay reads.")
+    ],
+    method: Annotated[
+        Literal["bryson-frazier", "rts"],
+        typer.Option(help="bryson-frazier inverts nothing; rts is the reference beside it."),
+    ] = "bryson-frazier",
+    rate: Annotated[
+        float, typer.Option(min=0.1, max=1000.0, metavar="HZ", help="Smoothed epochs per second.")
+    ] = 10.0,
+    states_only: Annotated[
+        bool, typer.Option("--states-only", help="Without standard deviations: faster, smaller.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN.mcap", help="Run log to write; else ./<log>.smoothed.mcap."),
+    ] = None,
+    outage: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="START+SECONDS",
+            help="Withhold GNSS, as in replay; without it what the run itself withheld.",
+        ),
+    ] = None,
+    config: ConfigPath = None,
+    vehicle: VehicleName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Smooth a run: every epoch from all measurements, those after it too.
+
+    Writes a run log with the forward and the smoothed solution. Metres, m/s, degrees.
+
+    Example: companion smooth flight.run.mcap --rate 20
+    """
+    console = _console(as_json)
+    windows = _windows(outage or [], "--outage")
+    from companion.cli.smooth import smooth_run
+
+    made = smooth_run(console, run, method, rate, not states_only, out, windows, config, vehicle)
+    _emit_if(as_json, made)
 
 
 @app.command(no_args_is_help=True)
@@ -229,6 +278,7 @@ def export(
         Literal["csv"],
         typer.Option("--format", help="csv: t_ns, degrees, metres, m/s, standard deviations."),
     ] = "csv",
+    solution: SolutionName = "forward",
     config: ConfigPath = None,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
@@ -242,7 +292,7 @@ def export(
     console = _console(as_json)
     from companion.cli.commands import export_run
 
-    _emit_if(as_json, export_run(console, run, output, file_format, config, vehicle))
+    _emit_if(as_json, export_run(console, run, output, file_format, config, vehicle, solution))
 
 
 @app.command(no_args_is_help=True)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 from rich.console import Console
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 _OPEN_S = 1.0
 """A zenoh session is open within milliseconds, or not for long."""
-_LOADING = "Loading the numerical kernels …"
+SolutionKind = Literal["forward", "smoothed"]
+LOADING = "Loading the numerical kernels …"
 
 
 def replay_logs(
@@ -49,10 +50,10 @@ def replay_logs(
     """Replay, log, evaluate and describe every vehicle of a run."""
     from replay.preparation import navigable
 
-    recording, chosen = _read(console, logs, config_path, vehicle_name)
+    recording, chosen = read(console, logs, config_path, vehicle_name)
     fit, refused = navigable(recording, vehicle_name)
-    path = _out_path(out, logs)
-    with present.notice_if_slow(console, _LOADING):
+    path = out_path(out, logs)
+    with present.notice_if_slow(console, LOADING):
         from replay import session
     for one in refused:
         console.print(f"[yellow]Vehicle {escape(one.name)} left out: {escape(one.reason)}")
@@ -113,9 +114,10 @@ def evaluate_run(
     window: Window | None,
     config_path: Path | None,
     vehicle_name: str | None,
+    solution: SolutionKind = "forward",
 ) -> dict[str, Any]:
     """Errors of one vehicle's solution; a log without a solution is replayed first."""
-    solved = _solve(console, run, config_path, vehicle_name)
+    solved = _solve(console, run, config_path, vehicle_name, solution)
     from replay.assessment import assess
     from replay.sensor_folder import read_reference
 
@@ -131,6 +133,7 @@ def evaluate_run(
         window=window,
         digest=solved.digest,
         digest_published=solved.digest_published,
+        solution_kind=solution,
     )
     accuracy = result.to_json()
     present.show_accuracy(console, accuracy)
@@ -144,9 +147,10 @@ def export_run(
     file_format: str,
     config_path: Path | None,
     vehicle_name: str | None,
+    solution: SolutionKind = "forward",
 ) -> dict[str, Any]:
     """Write one vehicle's solution; a log without one is replayed first."""
-    solved = _solve(console, run, config_path, vehicle_name)
+    solved = _solve(console, run, config_path, vehicle_name, solution)
     from replay.export import export_csv
 
     export_csv(solved.solution, output)
@@ -154,6 +158,7 @@ def export_run(
     return {
         "out": str(output),
         "format": file_format,
+        "solution": solution,
         "vehicle": solved.vehicle.name,
         "epochs": len(solved.solution),
         "height_datum": solved.vehicle.height_datum,
@@ -192,12 +197,31 @@ class _Solved:
     digest: str | None
     digest_published: str | None
     withheld: tuple[Window, ...] = ()
+    smoothed: Solution | None = None
 
 
 def _solve(
-    console: Console, run: Path, config_path: Path | None, vehicle_name: str | None
+    console: Console,
+    run: Path,
+    config_path: Path | None,
+    vehicle_name: str | None,
+    solution: SolutionKind,
 ) -> _Solved:
     """The solution that a run log holds, else that of a replay; no log is written."""
+    solved = _solve_forward(console, run, config_path, vehicle_name)
+    if solution == "forward":
+        return solved
+    if solved.smoothed is not None:
+        return replace(solved, solution=solved.smoothed)
+    from companion.cli.smooth import smooth_vehicle
+
+    made = smooth_vehicle(console, solved.vehicle, solved.config, "bryson-frazier", None, True)
+    return replace(solved, solution=made.solution)
+
+
+def _solve_forward(
+    console: Console, run: Path, config_path: Path | None, vehicle_name: str | None
+) -> _Solved:
     if run.suffix == ".mcap" and config_path is None:
         from replay.configuration import choose_config
         from replay.run_log import read_solution
@@ -214,12 +238,13 @@ def _solve(
                 stored.digest,
                 stored.digest_published,
                 read_windows(stored.metadata.get("outages", "")),
+                stored.smoothed,
             )
     from replay.preparation import navigable
 
-    recording, chosen = _read(console, [run], config_path, vehicle_name)
+    recording, chosen = read(console, [run], config_path, vehicle_name)
     fit, _ = navigable(recording, vehicle_name)
-    with present.notice_if_slow(console, _LOADING):
+    with present.notice_if_slow(console, LOADING):
         from replay import session
     if len(fit) > 1:
         console.print(f"Vehicle {escape(fit[0].name)}, the first of several; --vehicle NAME")
@@ -249,7 +274,7 @@ def _recording(
     return recording
 
 
-def _read(
+def read(
     console: Console, logs: Sequence[Path], config_path: Path | None, vehicle_name: str | None
 ) -> tuple[Recording, ChosenConfig]:
     from replay.configuration import choose_config
@@ -260,15 +285,15 @@ def _read(
     return recording, choose_config(recording, config_path)
 
 
-def _out_path(out: Path | None, logs: Sequence[Path]) -> Path:
-    """Where the run log goes; never over a log that is being read."""
+def out_path(out: Path | None, logs: Sequence[Path], ending: str = "run") -> Path:
+    """Where the run log goes, ``<log>.<ending>.mcap``; never over a log that is being read."""
     inputs = {p.resolve() for p in logs}
     if out is None:
         name = logs[0].resolve().name
         stem = name if logs[0].is_dir() else Path(name.removesuffix(".run.mcap")).stem
-        out = Path(f"{stem}.run.mcap")
+        out = Path(f"{stem}.{ending}.mcap")
         if out.resolve() in inputs:
-            out = Path(f"{stem}.again.run.mcap")
+            out = Path(f"{stem}.again.{ending}.mcap")
     if out.resolve() in inputs:
         raise CompanionError(f"{out}: is the log being read; choose another --out")
     if not out.parent.is_dir():
@@ -335,7 +360,7 @@ def compile_kernels() -> None:
 def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) -> dict[str, Any]:
     """Simulate, and write sensor folder, telemetry log and truth into one directory."""
     compile_kernels()
-    with present.notice_if_slow(console, _LOADING):
+    with present.notice_if_slow(console, LOADING):
         from replay.simulator import load_scenario
         from replay.simulator.flight import write_flight
     made = load_scenario(scenario)
@@ -363,7 +388,7 @@ def run_bench(
 ) -> dict[str, Any]:
     """Measure speed, memory and start-up on this machine."""
     compile_kernels()
-    with present.notice_if_slow(console, _LOADING):
+    with present.notice_if_slow(console, LOADING):
         from replay import bench
     with present.progress(console, "Measuring") as update:
         figures = bench.main(

@@ -204,6 +204,13 @@ class LogWriter:
             self.event(event, vehicle)
         self._arrived(rows, self._now_ns)
 
+    def smoothed(self, solution: Solution, vehicle: str) -> None:
+        """Write a smoothed solution, whole, on its own channel."""
+        channel = self._channel(vehicle, "nav/smoothed", "companion.NavState", solution.t_ns)
+        for at in range(0, len(solution), BATCH_ROWS):
+            part = solution.take(slice(at, at + BATCH_ROWS))
+            self._file.rows(channel, part.t_ns, messages.encode_states(part))
+
     def event(self, event: Event, vehicle: str) -> None:
         """Write one event at once."""
         seconds, nanos = divmod(event.t_ns, NS)

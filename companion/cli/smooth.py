@@ -1,0 +1,174 @@
+"""What ``companion smooth`` does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from companion import present
+from companion.cli.commands import LOADING, SolutionKind, out_path, plain, read
+from companion.config import Config
+from companion.types import AidingReports, Solution, VehicleRecording
+from replay.window import Window, read_windows
+
+if TYPE_CHECKING:
+    from companion.smoothing.offline import Method
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothed:
+    """A smoothed solution, and what it cost."""
+
+    solution: Solution
+    forward_cpu_s: float
+    smoothing_cpu_s: float
+    history_bytes: int
+    stretches: int
+    """Stretches between declared breaks, each smoothed by itself."""
+    digest: str
+
+
+def smooth_vehicle(
+    console: Console,
+    vehicle: VehicleRecording,
+    config: Config,
+    method: Method,
+    rate_hz: float | None,
+    covariance: bool,
+) -> Smoothed:
+    """Run forward with a tape, and smooth."""
+    with present.notice_if_slow(console, LOADING):
+        from companion.smoothing.offline import smooth
+        from replay.recorded import record
+    begin = time.process_time()
+    with present.progress(console, f"Vehicle {vehicle.name}, forward") as update:
+        run = record(vehicle, config, rate_hz=rate_hz, covariance=covariance, progress=update)
+    middle = time.process_time()
+    with present.notice_if_slow(console, "Smoothing …"):
+        solution = smooth(run.tapes, run.config, method)
+    return Smoothed(
+        solution=solution,
+        forward_cpu_s=middle - begin,
+        smoothing_cpu_s=time.process_time() - middle,
+        history_bytes=run.tape_bytes,
+        stretches=len(run.tapes),
+        digest=run.digest,
+    )
+
+
+def smooth_run(
+    console: Console,
+    run: Path,
+    method: Method,
+    rate_hz: float | None,
+    covariance: bool,
+    out: Path | None,
+    outages: Sequence[Window],
+    config_path: Path | None,
+    vehicle_name: str | None,
+) -> dict[str, Any]:
+    """Smooth every vehicle into a run log, the smoothed solution beside the forward one."""
+    from replay.preparation import navigable, withhold_gnss
+
+    recording, chosen = read(console, [run], config_path, vehicle_name)
+    # What the run itself was refused stays withheld, and is judged as an outage.
+    outages = outages or read_windows(recording.metadata.get("outages", ""))
+    fit, _ = navigable(recording, vehicle_name)
+    path = out_path(out, [run], ending="smoothed")
+    with present.notice_if_slow(console, LOADING):
+        from replay import session
+    found = []
+    with session.run_log(path, recording, chosen, outages) as writer:
+        closing = []
+        for vehicle in fit:
+            with present.progress(console, f"Vehicle {vehicle.name}, as published") as update:
+                forward = session.run_session(
+                    vehicle, chosen, writer=writer, outages=outages, progress=update
+                )
+            flown = withhold_gnss(vehicle, outages)
+            made = smooth_vehicle(console, flown, chosen.config, method, rate_hz, covariance)
+            writer.smoothed(made.solution, vehicle.name)
+            accuracy = {
+                "forward": _accuracy(flown, chosen.config, forward.solution, outages, "forward"),
+                "smoothed": _accuracy(flown, chosen.config, made.solution, outages, "smoothed"),
+            }
+            closing.append((vehicle.name, forward.digest, forward.digest_published))
+            found.append(_entry(vehicle.name, method, made, accuracy))
+            _show(console, found[-1])
+        writer.close(
+            {
+                "vehicles": {
+                    name: {"digest": digest, "digest_published": published}
+                    for name, digest, published in closing
+                }
+            }
+        )
+    console.print(f"Run log   {escape(str(path))}")
+    return {"log": str(run), "out": str(path), "vehicles": found}
+
+
+def _accuracy(
+    vehicle: VehicleRecording,
+    config: Config,
+    solution: Solution,
+    outages: Sequence[Window],
+    kind: SolutionKind,
+) -> dict[str, Any] | None:
+    """Errors for JSON; None where there is nothing to compare with."""
+    from replay.assessment import assess
+    from replay.evaluation import EvaluationError
+
+    reports = AidingReports.empty()  # innovations belong to the forward run
+    try:
+        found = assess(vehicle, config, solution, reports, withheld=outages, solution_kind=kind)
+    except EvaluationError:
+        return None
+    return found.to_json()
+
+
+def _entry(name: str, method: str, made: Smoothed, accuracy: dict[str, Any]) -> dict[str, Any]:
+    return plain(
+        {
+            "vehicle": name,
+            "method": method,
+            "epochs": len(made.solution),
+            "stretches": made.stretches,
+            "history_mb": made.history_bytes / 1e6,
+            "forward_cpu_s": made.forward_cpu_s,
+            "smoothing_cpu_s": made.smoothing_cpu_s,
+            "accuracy": accuracy,
+        }
+    )
+
+
+def _show(console: Console, entry: dict[str, Any]) -> None:
+    """A few lines for people."""
+    console.print(
+        f"Smoothed  {entry['epochs']} epochs by {entry['method']} in "
+        f"{entry['smoothing_cpu_s']:.2f} s of CPU, after {entry['forward_cpu_s']:.2f} s forward; "
+        f"history {entry['history_mb']:.1f} MB"
+    )
+    if entry["stretches"] > 1:
+        console.print(f"          {entry['stretches']} stretches, a declared reset between them")
+    for kind in ("forward", "smoothed"):
+        accuracy = entry["accuracy"][kind]
+        if accuracy is None:
+            continue
+        position, velocity = accuracy["position_rmse_m"], accuracy["velocity_rmse_mps"]
+        worst = [o["max_horizontal_error_m"] for o in accuracy["outages"]]
+        outages = ", worst in outages " + "/".join(f"{x:.1f}" for x in worst if x is not None)
+        console.print(
+            f"{kind.capitalize():9} horizontal {_number(position['horizontal'], 'm')}, "
+            f"velocity {_number(velocity['3d'], 'm/s')}{outages + ' m' if worst else ''} "
+            f"(RMSE against the {accuracy['reference']})"
+        )
+
+
+def _number(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{value:.3f} {unit}"
