@@ -28,8 +28,9 @@ from replay.simulator.live.client import VehicleProcess
 
 from .system import PATIENCE_S, Companion, config_beside, vehicle_at, written
 
-WARM_START_CPU_S = 3.0
-"""From the start to an aligned filter, with compiled kernels."""
+RESTART_CPU_S = 10.0
+"""From the start to an aligned filter. On two quiet cores it takes 2.4 s; this limit holds where
+others share them, and still shows a compiler at work, which takes 30 s and more."""
 
 ROUTER = """
 import json, sys, time, zenoh
@@ -134,7 +135,7 @@ def test_killed_in_mid_run(vehicle: VehicleProcess, folder: Path) -> None:
         second.await_event("aligned")
         cpu_s = second.cpu_s()
         ended(second)
-    assert cpu_s < WARM_START_CPU_S
+    assert cpu_s < RESTART_CPU_S
 
 
 def test_full_disk(vehicle: VehicleProcess, folder: Path) -> None:
