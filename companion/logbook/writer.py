@@ -75,6 +75,7 @@ class LogWriter:
         metadata: Mapping[str, str],
         settled: bool = False,
         hold_s: float = 1.0,
+        chunk_s: float | None = None,
         sink: Sink | None = None,
     ) -> None:
         """Open ``path`` for a run with this configuration.
@@ -82,11 +83,12 @@ class LogWriter:
         ``settled``: write the settled epochs too, not only their digest (about 70 MB an hour at
         50 Hz before compression). ``hold_s``: for how long of arrival time data may wait in memory,
         half of what a power loss can take; a replay, whose input is safe, is faster with more.
+        ``chunk_s``: for how long of arrival time a chunk is filled; without it as long.
         ``sink``: what writes the bytes, instead of this process itself, at once.
         """
         self.path = Path(path)
         self._hold_ns = round(hold_s * NS)
-        self._file = McapFile(self.path, chunk_span_ns=self._hold_ns, sink=sink)
+        self._file = McapFile(self.path, chunk_span_ns=round((chunk_s or hold_s) * NS), sink=sink)
         self._config_toml = config_toml
         self._metadata = dict(metadata)
         self._settled = settled

@@ -93,9 +93,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0, help="of each run")
     parser.add_argument("--rates", default="200,1000,1500,2000,3000", help="Hz, rising")
     given = parser.parse_args()
-    print(
-        "IMU Hz  samples  missing  not stepped  CPU %  p50 ms  p99 ms  max ms  stall ms  memory MB"
-    )
+    print("IMU Hz  samples  missing  not stepped  CPU %  latency ms: p50    p99    max  memory MB")
     for rate in map(int, given.rates.split(",")):
         run = measure(rate, given.seconds)
         counters, latency = run["counters"], run["latency_ms"]
