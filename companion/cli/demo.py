@@ -31,7 +31,7 @@ def run_demo(console: Console, directory: Path, seconds: float, imu_hz: float) -
     figures = fly(files, seconds, imu_hz, _Teller(console))
     figures = plain({"seconds": seconds, "directory": str(directory), **figures})
     _show(console, figures)
-    _show_next(console, files.log, files.truth, files.config)
+    _show_next(console, files.log, files.truth)
     if not figures["digest"]["equal"]:
         raise CompanionError(
             f"live and replay differ: {figures['digest']['live']} and "
@@ -99,13 +99,13 @@ def _show(console: Console, figures: dict[str, Any]) -> None:
     )
 
 
-def _show_next(console: Console, log: Path, truth: Path, config: Path) -> None:
+def _show_next(console: Console, log: Path, truth: Path) -> None:
     console.print(f"Run log   {escape(str(log))}")
     console.print("Try next")
     for line in (
         f"companion evaluate {log} --truth {truth}",
         f"companion replay {log} --outage 20+8 --out outage.mcap",
         f"companion export {log} --format csv -o demo.csv",
-        f"companion run {config} (with your own links in it)",
+        "companion check configs/multirotor.toml    # with your own links in it; then: run",
     ):
         console.print(f"  {escape(line)}", highlight=False)
