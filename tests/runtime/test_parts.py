@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.config import CanBus, Config, Gnss, Imu, Mag
+from companion.config import CanBus, Config, Gnss, Ground, Imu, Mag, ToAutopilot
 from companion.runtime.clock import Reading, RunClock, arrival_ns
+from companion.runtime.feeds import make_feeds
 from companion.runtime.latency import Latencies
 from companion.runtime.links import CanLink
 from companion.runtime.systemd import Notifier
@@ -246,3 +247,23 @@ def test_without_systemd_nothing_is_said(tmp_path: Path) -> None:
     gone.ready()
     assert gone.watchdog_ns == 0
     assert Notifier({"WATCHDOG_USEC": "1000", "WATCHDOG_PID": "1"}).watchdog_ns == 0
+
+
+# --------------------------------------------------------------------------- feeds
+
+
+def test_feeds_that_need_the_autopilots_link_say_so() -> None:
+    for config in (
+        Config(to_autopilot=ToAutopilot(message="gps-input")),
+        Config(ground=Ground(endpoint="autopilot")),
+    ):
+        with pytest.raises(ConfigError, match="needs the autopilot's link"):
+            make_feeds(config, Path(), None, 0)
+    assert list(make_feeds(Config(), Path(), None, 0).publishers) == []
+
+
+def test_a_ground_station_gets_a_link_of_its_own() -> None:
+    feeds = make_feeds(Config(ground=Ground(endpoint="udpin:127.0.0.1:0")), Path(), None, 0)
+    assert len(feeds.publishers) == 1
+    assert feeds.ground is not None
+    feeds.ground.close()
