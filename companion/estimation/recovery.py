@@ -26,17 +26,21 @@ def recover(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> tuple[Pha
     f = phase.filters[0]
     since = int(f.k[lo.T_REJECT])
     relock = bool(since) and t - since > setup.ipar[par.RELOCK_NS]
-    lost = f.s[lo.VELOCITY_FIT] > w.LOST_FIT and f.s[lo.GNSS_SPEED] > w.LOST_SPEED
+    lost = f.s[lo.VELOCITY_FIT] > w.LOST_FIT
     if not (relock or lost):
         return None
     fixes = _agreeing_fixes(aids, t)
     if len(fixes) == 0:
         return None
     # Position alone can be off for long where a receiver erred; velocity that never fits means
-    # that the attitude is wrong, and of the attitude it is the heading that nothing holds.
+    # that the attitude is wrong: on the move its heading, which nothing else holds; without way
+    # over ground its level, by an inertial sensor that began to err (shaken, struck, saturated).
     s, k = _restarted(setup, f, t, aids, fixes)
-    if lost and setup.config.alignment.heading != "fixed":
-        return _relearn_heading(setup, s, k, t)
+    if lost:
+        moving = f.s[lo.GNSS_GROUND_SPEED] > w.LOST_SPEED
+        if moving and setup.config.alignment.heading != "fixed":
+            return _relearn_heading(setup, s, k, t)
+        return _relearn_level(setup, s, k, t)
     new = Phase(t + 1, Mode.NAVIGATING, [setup.new_filter(s, k)])
     new.checks = [Check(t)]
     text = (
@@ -91,6 +95,22 @@ def _restarted(
     s[lo.VELOCITY_FIT] = s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = 0.0
     k[lo.T_REJECT], k[lo.RESETS] = 0, k[lo.RESETS] + 1
     return s, k
+
+
+def _relearn_level(setup: Setup, s: F64, k: I64, t: int) -> tuple[Phase, Event]:
+    """Velocity never fits, without way over ground: level and biases are known roughly again."""
+    P = setup.covariance(s)
+    var = par.initial_variances(setup.config, setup.layout)
+    yaw_var = P[8, 8]
+    for m in range(6, 15):
+        P[m, :], P[:, m] = 0.0, 0.0
+        P[m, m] = var[m]
+    P[6, 6] = P[7, 7] = LOST_TILT_SD**2
+    P[8, 8] = yaw_var + LOST_TILT_SD**2
+    new = Phase(t + 1, Mode.NAVIGATING, [setup.new_filter(s, k)])
+    new.checks = [Check(t)]
+    text = "velocity does not fit GNSS at rest: level and biases are learned again"
+    return new, Event(t, "level-lost", text, "warning")
 
 
 def _relearn_heading(setup: Setup, s: F64, k: I64, t: int) -> tuple[Phase, Event]:

@@ -200,6 +200,7 @@ def _initial(
     if np.isfinite(fix[3]):
         s[lo.GNSS_SPEED] = math.hypot(fix[3], fix[4])
         s[lo.GNSS_SPEED_SD] = math.sqrt(fix[9])
+        s[lo.GNSS_GROUND_SPEED] = s[lo.GNSS_SPEED]
         k[lo.T_GNSS_SPEED] = t
     k[lo.RESETS] = phase.resets
     for cell, period in (

@@ -51,6 +51,7 @@ from companion.navigation.error_model import box_plus
 from companion.navigation.layout import (
     ACCEL_BIAS_B,
     DX,
+    GNSS_GROUND_SPEED,
     GNSS_SPEED,
     GNSS_SPEED_SD,
     HAVE_IMU,
@@ -89,7 +90,7 @@ DONE, STOP_GAP, STOP_CHECK, STOP_BROKEN = 0, 1, 2, 3
 CHECK_NS = 500_000_000
 """Grid of the decisions above the kernel: heading found, relock, divergence."""
 LOST_FIT = 6.0
-"""Mean NIS per component of horizontal velocity beyond which the heading is taken for wrong: 1 is
+"""Mean NIS per component of horizontal velocity beyond which the attitude is taken for wrong: 1 is
 honest, noise three times what was configured gives 9 but scatters about the solution."""
 LOST_SPEED = 1.0
 
@@ -145,6 +146,7 @@ def fuse_gnss(
         down = z[A_VELOCITY + 2] if z[A_VELOCITY + 2] == z[A_VELOCITY + 2] else 0.0
         s[GNSS_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2 + down * down)
         s[GNSS_SPEED_SD] = math.sqrt(z[A_VAR_VELOCITY])
+        s[GNSS_GROUND_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2)
         k[T_GNSS_SPEED] = t
     for half in range(4):
         vertical = half % 2 == 1
@@ -192,12 +194,14 @@ def fuse_gnss(
         ipar[COURSE] == 1
         and ipar[BANK] == 0
         and k[T_GNSS_SPEED] == t
-        and s[GNSS_SPEED] > par[COURSE_SPEED]
+        and s[GNSS_GROUND_SPEED] > par[COURSE_SPEED]
     ):
         quat_to_matrix(s, C)
         azimuth = math.atan2(z[A_VELOCITY + 1], z[A_VELOCITY])
         if direction(lay, C, 1.0, 0.0, 0.0, azimuth, H, y):
-            R[0] = par[COURSE_VAR] + z[A_VAR_VELOCITY] / (s[GNSS_SPEED] * s[GNSS_SPEED])
+            R[0] = par[COURSE_VAR] + z[A_VAR_VELOCITY] / (
+                s[GNSS_GROUND_SPEED] * s[GNSS_GROUND_SPEED]
+            )
             fuse(s, lay, par, ipar, _COURSE, source, H, y, R, 1, W, reports[count], tape)
             reports_t[count] = t
             count += 1
@@ -368,13 +372,13 @@ def _step(
 
 @njit("b1(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1])", cache=True)
 def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
-    """Whether a decision above the kernel is due: diverged, locked out, or heading lost."""
+    """Whether a decision above the kernel is due: diverged, locked out, or velocity never fits."""
     n = lay[L_N]
     if s[P_OFFSET] + s[P_OFFSET + n + 1] > par[DIVERGED_VAR]:
         return True
     if k[T_REJECT] > 0 and k[T_IMU] - k[T_REJECT] > ipar[RELOCK_NS]:
         return True
-    return bool(s[VELOCITY_FIT] > LOST_FIT and s[GNSS_SPEED] > LOST_SPEED)
+    return bool(s[VELOCITY_FIT] > LOST_FIT)
 
 
 @njit(

@@ -48,8 +48,9 @@ MAX_STATES = 28
 # --- last GNSS speed, for the standstill veto and COASTING
 GNSS_SPEED = DX + MAX_STATES
 GNSS_SPEED_SD = GNSS_SPEED + 1
+GNSS_GROUND_SPEED = GNSS_SPEED + 2  # horizontal: what says something of heading
 # --- standstill detector (see standstill.py)
-STILL = GNSS_SPEED_SD + 1
+STILL = GNSS_GROUND_SPEED + 1
 STILL_SUB = 4  # sub-blocks of the window
 STILL_SUM = STILL  # n, sums (6), sums of squares (6) of the running sub-block
 STILL_RING = STILL + 13  # per sub-block: means (6), variances (6)
