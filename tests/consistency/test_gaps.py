@@ -112,3 +112,25 @@ def test_feedback_beats_feedforward_as_the_paper_says() -> None:
         rmse[correction] = np.sqrt(np.mean(error[t > 60, 1] ** 2))
     print("velocity RMSE [m/s]", rmse)
     assert rmse["feedback"] < rmse["feedforward"]
+
+
+def test_an_accelerometer_that_begins_to_err_at_rest_does_not_run_away() -> None:
+    """Idling propellers alias into an offset of 0.6 m/s²: found by velocity, level learned anew."""
+    scenario = runs.honest("hover", 120.0)
+    sim = runs.run(scenario, 5)
+    imu = sim.recording.imu[0]
+    struck = imu.t_ns > sim.t0_ns + 60 * NS
+    accel = imu.accel_b + np.where(struck[:, None], 0.6, 0.0)
+    gyro = imu.gyro_b + np.where(struck[:, None], 0.01, 0.0)
+    recording = replace(sim.recording, imu=(replace(imu, accel_b=accel, gyro_b=gyro),))
+    config = runs.changed(
+        runs.matching_config(scenario),
+        alignment={"heading": "fixed", "fixed_heading_deg": 30.0},
+        constraints={"zero_velocity": False},
+    )
+    flown = runs.fly(recording, config)
+    off = np.linalg.norm(runs.errors(sim, flown.solution)[:, :2, :2], axis=2)
+    after = flown.solution.t_ns > sim.t0_ns + 90 * NS
+    assert flown.event("level-lost") is not None
+    assert off[:, 0].max() < 20.0  # without recovery hundreds of metres
+    assert off[after, 1].max() < 1.0
