@@ -15,7 +15,18 @@ import pytest
 from companion.cli import app as surface
 from companion.cli import main
 
-COMMANDS = ("replay", "evaluate", "export", "simulate", "bench", "check", "demo", "run", "watch")
+COMMANDS = (
+    "replay",
+    "evaluate",
+    "export",
+    "simulate",
+    "smooth",
+    "bench",
+    "check",
+    "demo",
+    "run",
+    "watch",
+)
 
 
 class Ran:

@@ -107,9 +107,9 @@ def position_error_n(received: Received, truth: ReferenceSamples) -> F64:
 
 
 def position_errors(received: Received, truth: ReferenceSamples) -> dict[str, float | None]:
-    """Horizontal and 3-D position error of the aided states [m]: RMS and largest."""
+    """Horizontal and 3-D position error of all states but aligning ones [m]: RMS and largest."""
     inside = (received.t_ns >= truth.t_ns[0]) & (received.t_ns <= truth.t_ns[-1])
-    used = received.take(inside & (received.mode >= Mode.NAVIGATING))
+    used = received.take(inside & (received.mode > Mode.ALIGNING))
     if not len(used):
         return {"horizontal_rms_m": None, "horizontal_max_m": None, "rms_3d_m": None}
     error = position_error_n(used, truth)

@@ -77,7 +77,6 @@ def test_states_came_out_soon(flown: dict[str, Any]) -> None:
 def test_it_knew_where_it_was(flown: dict[str, Any]) -> None:
     # The receiver's own error is 1 m white and slow together, each axis: four times that.
     assert flown["position_error"]["horizontal_rms_m"] < 4.0
-    assert flown["accuracy"]["reference"] == "truth"
 
 
 def test_what_is_left(flown: dict[str, Any], folder: Path) -> None:

@@ -80,6 +80,6 @@ def test_errors_are_those_put_in() -> None:
     assert errors["rms_3d_m"] == pytest.approx(5.0, rel=0.01)
 
 
-def test_states_before_the_heading_is_known_do_not_count() -> None:
-    errors = position_errors(received(3.0, 0.0, Mode.HEADING_UNKNOWN), truth())
+def test_states_while_aligning_do_not_count() -> None:
+    errors = position_errors(received(3.0, 0.0, Mode.ALIGNING), truth())
     assert errors["horizontal_rms_m"] is None

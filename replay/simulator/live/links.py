@@ -12,6 +12,8 @@ from pathlib import Path
 from companion.types import CompanionError
 
 _MOST = 65_536
+_ADAPTER_BYTES = 65_536
+"""A USB adapter and its driver hold about this much; a pseudo-terminal only 4 kB."""
 
 
 def parse_endpoint(text: str) -> tuple[bool, tuple[str, int]]:
@@ -98,6 +100,7 @@ class Plug:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.dropped_bytes = 0
+        self._waiting = b""
         self._master: int | None = None
         self._slave = -1
         self.put_in()
@@ -124,6 +127,7 @@ class Plug:
         os.close(self._master)
         os.close(self._slave)
         self._master = None
+        self._waiting = b""
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
 
@@ -140,10 +144,16 @@ class Plug:
         return b""
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the computer; what its buffer does not take is dropped and counted."""
-        if self._master is None or not data:
+        """Hand bytes to the computer; what it does not take yet waits in the adapter.
+
+        A full adapter drops the new, and counts.
+        """
+        if self._master is None:
             return
-        done = 0
-        with suppress(BlockingIOError):
-            done = os.write(self._master, data)
-        self.dropped_bytes += len(data) - done
+        if len(self._waiting) + len(data) <= _ADAPTER_BYTES:
+            self._waiting += data
+        else:
+            self.dropped_bytes += len(data)
+        if self._waiting:
+            with suppress(BlockingIOError):
+                self._waiting = self._waiting[os.write(self._master, self._waiting) :]
