@@ -149,6 +149,8 @@ class Unwrapped:
 
 _IN_STEP = 0.75
 """Periods since the sample before from which on a sample does not come out of a backlog."""
+_STEPS = 3
+"""Samples in step, one behind the other, after which there is no backlog."""
 _PAUSE = 0.5
 """Turns of the counter for which nothing came, after which the next sample alone says nothing."""
 
@@ -165,7 +167,7 @@ class Counter:
     Time of arrival resolves how often it wrapped while nothing came: a 5-bit counter at 160 Hz
     does so every 0.2 s. After a pause the samples behind it tell silence of the sensor, where they
     come in step, from a reader that was held up, where they come at once: whole turns of the
-    counter are only counted once a sample has come in step.
+    counter are only counted once samples have come in step.
     """
 
     def __init__(self, bits: int, rate_hz: float = 0.0) -> None:
@@ -177,6 +179,10 @@ class Counter:
         self._last: tuple[int, int] | None = None
         self._steps = _KNOWN if rate_hz > 0 else 0
         self._pauses = 0
+        self._pending = False
+        """Behind a pause, and not known yet whether turns were missed."""
+        self._in_step = 0
+        self._waited = 0.0
         self._late = 0.0
         """Periods that a pause and the backlog behind it leave unexplained."""
 
@@ -196,10 +202,10 @@ class Counter:
             if steps > 2.0 * (passed + self._late) + 0.25 * self._modulus + 8.0:
                 # More than can have been sent in this time: it began again.
                 self._last = raw, rx_ns
-                self._late = 0.0
+                self._late, self._pending = 0.0, False
                 self.total += 1
                 return -1
-            held_up = self._late > 0.0 or passed >= _PAUSE * self._modulus
+            held_up = self._pending or passed >= _PAUSE * self._modulus
             steps += self._modulus * self._turns(steps, passed)
         else:
             held_up = False
@@ -225,14 +231,21 @@ class Counter:
         if self._pauses > _PAUSES:
             self._steps = 0  # it has become slow: learned anew
         if not self._known:
-            self._late = 0.0
+            self._late, self._pending = 0.0, False
             return 0
-        missing = self._late + passed - steps
-        turns = max(0, math.floor(missing / self._modulus + 0.5))
-        if steps == 0:
-            return turns
-        if passed < _IN_STEP or passed >= _PAUSE * self._modulus:
-            self._late = max(0.0, missing)
+        pause = passed >= _PAUSE * self._modulus
+        if pause and steps == 0:
+            return math.floor(passed / self._modulus + 0.5)
+        if not (pause or self._pending):
             return 0
-        self._late = 0.0
-        return turns
+        self._late += passed - steps
+        if pause:
+            self._pending, self._in_step, self._waited = True, 0, 0.0
+            return 0
+        self._in_step = self._in_step + 1 if passed >= _IN_STEP else 0
+        self._waited += passed
+        if self._in_step < _STEPS and self._waited < self._modulus:
+            return 0
+        turns = math.floor(self._late / self._modulus + 0.5)
+        self._late, self._pending = 0.0, False
+        return max(0, turns)
