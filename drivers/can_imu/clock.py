@@ -157,6 +157,8 @@ _PAUSE = 0.5
 _KNOWN = 16
 """Steps after which the period is known well enough to tell a pause."""
 
+_BACKLOG = 512
+"""Samples that may wait in an adapter before anybody listens."""
 _PAUSES = 4
 """So many one after the other are none."""
 
@@ -178,6 +180,8 @@ class Counter:
         self._modulus = 1 << bits
         self._last: tuple[int, int] | None = None
         self._steps = _KNOWN if rate_hz > 0 else 0
+        self._begun = False
+        self._apart = 0
         self._pauses = 0
         self._pending = False
         """Behind a pause, and not known yet whether turns were missed."""
@@ -214,12 +218,18 @@ class Counter:
         self._last = raw, rx_ns
         self.total += steps
         # A pause and the backlog behind it say nothing of the period, once there is one.
-        # And what waited for us before we listened came all at once.
-        if steps == 1 and not (held_up and self._known) and (self._steps or elapsed):
+        if self._drained(elapsed) and steps == 1 and not (held_up and self._known):
             # A mean over the first samples that turns into one over the last hundred or so.
             self._steps = min(self._steps + 1, 128)
             self.period_ns += (elapsed - self.period_ns) / self._steps
         return steps
+
+    def _drained(self, elapsed: int) -> bool:
+        """Whether what had waited before anybody listened is through: it says nothing either."""
+        if not self._begun:
+            self._apart = self._apart + 1 if elapsed > 0 else 0
+            self._begun = self._apart >= _STEPS or self.total >= _BACKLOG
+        return self._begun
 
     @property
     def _known(self) -> bool:
