@@ -64,11 +64,12 @@ def record(
     *,
     rate_hz: float | None = None,
     covariance: bool = True,
+    tape: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> RecordedRun:
     """Run ``vehicle`` forward; rows, and so the smoothed epochs, come at ``rate_hz``.
 
-    Without ``rate_hz`` at the configured output rate.
+    Without ``rate_hz`` at the configured output rate. ``tape`` off: the forward run alone.
     """
     if rate_hz is not None:
         engine_config = msgspec.structs.replace(config.engine, output_rate_hz=rate_hz)
@@ -77,7 +78,7 @@ def record(
     ring_ns = round(config.engine.delay_ring_s * NS)
     aids = [_in_time(a, imu, config, ring_ns) for a in choose_aids(vehicle, config)]
     sessions = _sessions(imu)
-    engine = Engine(config, "covariance" if covariance else "states")
+    engine = Engine(config, ("covariance" if covariance else "states") if tape else "no")
     settled: list[Solution] = []
     reports: list[AidingReports] = []
     events: list[Event] = []
