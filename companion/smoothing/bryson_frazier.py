@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from companion.estimation.covariance import apply_transition
 from companion.estimation.tape import (
     C_STEP,
     F32,
@@ -44,7 +43,9 @@ from companion.navigation.layout import (
     L_N,
 )
 from companion.smoothing.transition import (
-    apply_transposed,
+    carry,
+    carry_back,
+    carry_back_matrix,
     decay_factors,
     noise_diagonal,
     subtract_noise,
@@ -99,7 +100,7 @@ def backward(
     size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d = np.empty(n)
-    out = np.empty((n, 1))
+    x = lam.reshape(n)
     c, f = coarse.shape[0], fine.shape[0]
     m = 0
     for i in range(kinds.shape[0]):
@@ -114,25 +115,19 @@ def backward(
             transition_blocks(s, B)
             decay_factors(float(fine[f]), lay, par, d)
             for j in range(n):
-                steps[m, j] = lam[j, 0]
-                lam[j, 0] *= d[j]
-            apply_transposed(B, i_sa, i_sg, lam, 1, out)
-            for j in range(CORE_STATES):
-                lam[j, 0] = out[j, 0]
-            if i_sa >= 0:
-                for j in range(3):
-                    lam[i_sa + j, 0] = out[i_sa + j, 0]
-                    lam[i_sg + j, 0] = out[i_sg + j, 0]
+                steps[m, j] = x[j]
+                x[j] *= d[j]
+            carry_back(B, i_sa, i_sg, x)
         elif kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
             r = fine[f + F_R]
             g = r * fine[f + F_Y]
             for j in range(n):
-                g += fine[f + F_GAIN + j] * lam[j, 0]
+                g += fine[f + F_GAIN + j] * x[j]
             g *= r
             read_h(fine[f:], n, d)
             for j in range(n):
-                lam[j, 0] -= d[j] * g
+                x[j] -= d[j] * g
         elif kind == TURN:
             f -= F_TURN
             turn_transposed(lam, fine[f : f + F_TURN], ATT, 1)
@@ -167,7 +162,7 @@ def forward(
     size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d, q = np.empty(n), np.empty(n)
-    out = np.empty((9, 1))
+    out = np.empty(9)
     x = dx.reshape(n)
     c, f, m, row = 0, 0, 0, 0
     for i in range(kinds.shape[0]):
@@ -178,9 +173,9 @@ def forward(
             transition_blocks(s, B)
             decay_factors(T, lay, par, d)
             noise_diagonal(numbers, T, lay, par, d, q)
-            apply_transition(B, i_sa, i_sg, dx, 1, out)
+            carry(B, i_sa, i_sg, x, out)
             for j in range(9):
-                x[j] = out[j, 0]
+                x[j] = out[j]
             for j in range(9, n):
                 x[j] *= d[j]
             subtract_noise(numbers, T, q, steps[m], x)
@@ -281,15 +276,14 @@ def backward_covariance(
             transition_blocks(s, B)
             decay_factors(float(fine[f]), lay, par, d)
             for j in range(n):
+                g = d[j]
                 for k in range(n):
-                    Lam[j, k] *= d[j] * d[k]
-                    Y[j, k] = Lam[j, k]
-            apply_transposed(B, i_sa, i_sg, Lam, n, Y)
+                    Lam[j, k] *= g * d[k]
+            carry_back_matrix(B, i_sa, i_sg, Lam, Y)
             for j in range(n):
                 for k in range(n):
                     X[j, k] = Y[k, j]
-                    Lam[j, k] = X[j, k]
-            apply_transposed(B, i_sa, i_sg, X, n, Lam)
+            carry_back_matrix(B, i_sa, i_sg, X, Lam)
             for j in range(n):
                 for k in range(j):
                     Lam[j, k] = Lam[k, j]

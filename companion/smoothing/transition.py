@@ -1,4 +1,4 @@
-"""Φ of a recorded step and of its transpose, applied by the blocks that exist.
+"""Φ of a recorded step and its transpose, applied by the blocks that exist.
 
 The whole transition of a step is D Φ: strapdown error over the interval, then the Gauss-Markov
 decay D of the slow states. The noise Q is laid out as in covariance.py.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from companion.estimation.parameters import (
@@ -33,49 +34,87 @@ from companion.navigation.layout import (
 from companion.types import F64, I64
 
 
-@njit("void(f8[:, :, ::1], i8, i8, f8[:, ::1], i8, f8[:, ::1])", cache=True)
-def apply_transposed(B: F64, i_sa: int, i_sg: int, X: F64, cols: int, Y: F64) -> None:
-    """``Y`` ← Φᵀ ``X`` over the first ``cols`` columns, both (n, ≥ ``cols``), ``Y`` apart from X.
+@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True)
+def _row(B: F64, block: int, i: int, x: F64, at: int) -> float:
+    """Row ``i`` of a block times three elements of ``x``."""
+    return float(B[block, i, 0] * x[at] + B[block, i, 1] * x[at + 1] + B[block, i, 2] * x[at + 2])
 
-    Rows of states that Φ leaves alone are copied by the caller.
+
+@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True)
+def _column(B: F64, block: int, i: int, x: F64, at: int) -> float:
+    """Column ``i`` of a block times three elements of ``x``."""
+    return float(B[block, 0, i] * x[at] + B[block, 1, i] * x[at + 1] + B[block, 2, i] * x[at + 2])
+
+
+@njit("void(f8[:, :, ::1], i8, i8, f8[::1], f8[::1])", cache=True)
+def carry(B: F64, i_sa: int, i_sg: int, x: F64, y: F64) -> None:
+    """``y`` (9,) ← rows p, v, φ of Φ times ``x`` (n,)."""
+    for i in range(3):
+        y[i] = _row(B, 0, i, x, 0) + B[1, i, i] * x[3 + i] + _row(B, 2, i, x, 6)
+        y[i] += _row(B, 3, i, x, 9) + _row(B, 4, i, x, 12)
+        y[3 + i] = B[8, i, 2] * x[2] + _row(B, 9, i, x, 3) + _row(B, 10, i, x, 6)
+        y[3 + i] += _row(B, 11, i, x, 9) + _row(B, 12, i, x, 12)
+        y[6 + i] = _row(B, 17, i, x, 3) + _row(B, 18, i, x, 6) + _row(B, 20, i, x, 12)
+        if i_sa >= 0:
+            y[i] += _row(B, 5, i, x, i_sa) + _row(B, 6, i, x, i_sg)
+            y[3 + i] += _row(B, 13, i, x, i_sa) + _row(B, 14, i, x, i_sg)
+            y[6 + i] += _row(B, 22, i, x, i_sg)
+
+
+@njit("void(f8[:, :, ::1], i8, i8, f8[::1])", cache=True)
+def carry_back(B: F64, i_sa: int, i_sg: int, x: F64) -> None:
+    """``x`` (n,) ← Φᵀ ``x`` in place: what does not need p, v, φ as they were goes last."""
+    v, a = np.empty(3), np.empty(3)
+    for i in range(3):
+        x[9 + i] += _column(B, 3, i, x, 0) + _column(B, 11, i, x, 3)
+        x[12 + i] += _column(B, 4, i, x, 0) + _column(B, 12, i, x, 3) + _column(B, 20, i, x, 6)
+        if i_sa >= 0:
+            x[i_sa + i] += _column(B, 5, i, x, 0) + _column(B, 13, i, x, 3)
+            x[i_sg + i] += _column(B, 6, i, x, 0) + _column(B, 14, i, x, 3)
+            x[i_sg + i] += _column(B, 22, i, x, 6)
+        v[i] = B[1, i, i] * x[i] + _column(B, 9, i, x, 3) + _column(B, 17, i, x, 6)
+        a[i] = _column(B, 2, i, x, 0) + _column(B, 10, i, x, 3) + _column(B, 18, i, x, 6)
+    p0, p1, p2 = _column(B, 0, 0, x, 0), _column(B, 0, 1, x, 0), _column(B, 0, 2, x, 0)
+    x[2] = p2 + B[8, 2, 2] * x[5]
+    x[0], x[1] = p0, p1
+    for i in range(3):
+        x[3 + i], x[6 + i] = v[i], a[i]
+
+
+@njit("void(f8[:, ::1], i8, f8[:, :, ::1], i8, f8[:, ::1], i8, i8)", cache=True)
+def _add_block(Y: F64, row: int, B: F64, block: int, X: F64, at: int, n: int) -> None:
+    """``Y[row + i]`` += column ``i`` of a block times rows ``at`` to ``at`` + 2 of ``X``.
+
+    Coefficients in locals, so that the inner loop becomes vector code.
     """
     for i in range(3):
-        for j in range(cols):
-            p0, p1, p2 = X[0, j], X[1, j], X[2, j]
-            v0, v1, v2 = X[3, j], X[4, j], X[5, j]
-            a0, a1, a2 = X[6, j], X[7, j], X[8, j]
-            Y[i, j] = B[0, 0, i] * p0 + B[0, 1, i] * p1 + B[0, 2, i] * p2 + B[8, 2, i] * v2
-            Y[3 + i, j] = (
-                B[1, i, i] * X[i, j]
-                + (B[9, 0, i] * v0 + B[9, 1, i] * v1 + B[9, 2, i] * v2)
-                + (B[17, 0, i] * a0 + B[17, 1, i] * a1 + B[17, 2, i] * a2)
-            )
-            Y[6 + i, j] = (
-                (B[2, 0, i] * p0 + B[2, 1, i] * p1 + B[2, 2, i] * p2)
-                + (B[10, 0, i] * v0 + B[10, 1, i] * v1 + B[10, 2, i] * v2)
-                + (B[18, 0, i] * a0 + B[18, 1, i] * a1 + B[18, 2, i] * a2)
-            )
-            Y[9 + i, j] = (
-                X[9 + i, j]
-                + (B[3, 0, i] * p0 + B[3, 1, i] * p1 + B[3, 2, i] * p2)
-                + (B[11, 0, i] * v0 + B[11, 1, i] * v1 + B[11, 2, i] * v2)
-            )
-            Y[12 + i, j] = (
-                X[12 + i, j]
-                + (B[4, 0, i] * p0 + B[4, 1, i] * p1 + B[4, 2, i] * p2)
-                + (B[12, 0, i] * v0 + B[12, 1, i] * v1 + B[12, 2, i] * v2)
-                + (B[20, 0, i] * a0 + B[20, 1, i] * a1 + B[20, 2, i] * a2)
-            )
+        b0, b1, b2 = B[block, 0, i], B[block, 1, i], B[block, 2, i]
+        for j in range(n):
+            Y[row + i, j] += b0 * X[at, j] + b1 * X[at + 1, j] + b2 * X[at + 2, j]
+
+
+@njit("void(f8[:, :, ::1], i8, i8, f8[:, ::1], f8[:, ::1])", cache=True)
+def carry_back_matrix(B: F64, i_sa: int, i_sg: int, X: F64, Y: F64) -> None:
+    """``Y`` ← Φᵀ ``X``, both (n, n) and apart."""
+    n = X.shape[0]
+    for i in range(n):
+        for j in range(n):
+            Y[i, j] = 0.0 if i < 9 else X[i, j]
+    for i in range(3):
+        T, g = B[1, i, i], B[8, 2, i]
+        for j in range(n):
+            Y[3 + i, j] = T * X[i, j]
+            Y[i, j] = g * X[5, j]
+    for row, block, at in (
+        (0, 0, 0), (3, 9, 3), (3, 17, 6), (6, 2, 0), (6, 10, 3), (6, 18, 6),
+        (9, 3, 0), (9, 11, 3), (12, 4, 0), (12, 12, 3), (12, 20, 6),
+    ):  # fmt: skip
+        _add_block(Y, row, B, block, X, at, n)
     if i_sa >= 0:
-        for i in range(3):
-            for j in range(cols):
-                Y[i_sa + i, j] = X[i_sa + i, j]
-                Y[i_sg + i, j] = X[i_sg + i, j]
-                for k in range(3):
-                    Y[i_sa + i, j] += B[5, k, i] * X[k, j] + B[13, k, i] * X[3 + k, j]
-                    Y[i_sg + i, j] += (
-                        B[6, k, i] * X[k, j] + B[14, k, i] * X[3 + k, j] + B[22, k, i] * X[6 + k, j]
-                    )
+        for row, block, at in (
+            (i_sa, 5, 0), (i_sa, 13, 3), (i_sg, 6, 0), (i_sg, 14, 3), (i_sg, 22, 6),
+        ):  # fmt: skip
+            _add_block(Y, row, B, block, X, at, n)
 
 
 @njit("void(f8, i8[::1], f8[::1], f8[::1])", cache=True)
