@@ -21,6 +21,7 @@ COMMANDS = (
     "export",
     "simulate",
     "smooth",
+    "smooth",
     "bench",
     "check",
     "demo",

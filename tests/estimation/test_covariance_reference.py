@@ -59,10 +59,11 @@ def _slow_states(layout: lo.Layout, config: Config, T: float) -> tuple[F64, F64]
         decay[at : at + 3] = d
         Q[range(at, at + 3), range(at, at + 3)] = np.array([psd, psd, down]) * tau / 2 * (1 - d * d)
     for i in range(3):
-        q = p[par.ACCEL_PSD]
-        Q[i, i] += q * T**3 / 3
-        Q[i, 3 + i] = Q[3 + i, i] = q * T**2 / 2
-        Q[3 + i, 3 + i], Q[6 + i, 6 + i] = q * T, p[par.GYRO_PSD] * T
+        # Rounded as process_noise.py says: the same noise goes onto a smoother's tape.
+        q = float(np.float32(p[par.ACCEL_PSD] * T))
+        Q[i, i] += q * T**2 / 3
+        Q[i, 3 + i] = Q[3 + i, i] = q * T / 2
+        Q[3 + i, 3 + i], Q[6 + i, 6 + i] = q, np.float32(p[par.GYRO_PSD] * T)
     if layout.baro >= 0:
         Q[layout.baro, layout.baro] = p[par.BARO_PSD] * T
     return decay, Q

@@ -106,7 +106,9 @@ def assert_same(a: Any, b: Any) -> None:
 
 
 def assert_same_vehicle(a: VehicleRecording, b: VehicleRecording) -> None:
-    assert (a.name, a.height_datum, a.streams) == (b.name, b.height_datum, b.streams)
+    assert (a.name, a.height_datum) == (b.name, b.height_datum)
+    # What nobody said about the streams is found out again from their samples.
+    assert a.streams == b.streams or (not b.streams and len(a.streams) > 0)
     for kind in ("imu", "gnss", "baro", "mag"):
         assert len(getattr(a, kind)) == len(getattr(b, kind)), kind
         for x, y in zip(getattr(a, kind), getattr(b, kind), strict=True):
