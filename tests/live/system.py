@@ -6,7 +6,9 @@ import re
 import time
 from pathlib import Path
 
-from companion.config import Config, to_toml
+import msgspec
+
+from companion.config import Config, Live, to_toml
 from replay.children import Child
 from replay.simulator.live.client import VehicleProcess
 from replay.simulator.live.scenario import NODE_ID, live_config, live_scenario
@@ -64,7 +66,9 @@ def config_beside(
     """Configuration of a companion beside ``vehicle``."""
     scenario = live_scenario(FLIGHT_S, REST_S, imu_hz)
     device = vehicle.ready["can"]
-    return live_config(scenario, vehicle.ready["mavlink"], device, zenoh, str(folder))
+    config = live_config(scenario, vehicle.ready["mavlink"], device, zenoh, str(folder))
+    # Five fixes a second: one second of silence is plenty, and keeps these tests short.
+    return msgspec.structs.replace(config, live=Live(gnss_timeout_s=1.0))
 
 
 def written(config: Config, folder: Path, name: str = "vehicle.toml") -> Path:
