@@ -91,6 +91,13 @@ def _show(console: Console, figures: dict[str, Any]) -> None:
         )
     if figures["accuracy"] is not None:
         present.show_accuracy(console, figures["accuracy"])
+    smoothed = figures["smoothed"]
+    if smoothed is not None:
+        console.print(
+            f"Smoothed  {smoothed['position_rmse_m']['horizontal']:.2f} m RMS horizontally, "
+            f"{smoothed['velocity_rmse_mps']['3d']:.3f} m/s: the same log, every epoch from all "
+            "measurements"
+        )
     digest = figures["digest"]
     verdict = "equal to the bit" if digest["equal"] else "[red]different[/red]"
     console.print(
@@ -105,6 +112,7 @@ def _show_next(console: Console, log: Path, truth: Path) -> None:
     for line in (
         f"companion evaluate {log} --truth {truth}",
         f"companion replay {log} --outage 20+8 --out outage.mcap",
+        f"companion smooth {log}",
         f"companion export {log} --format csv -o demo.csv",
         "companion check configs/multirotor.toml    # with your own links in it; then: run",
     ):

@@ -37,6 +37,7 @@ LEAST_FLIGHT_S = 150.0
 START_S = 60.0
 """The companion must have begun to publish within this long."""
 OVERTIME_S = 30.0
+SMOOTHED_HZ = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,11 @@ class Files:
     def truth(self) -> Path:
         """What was really flown."""
         return self.directory / "truth.csv"
+
+    @property
+    def smoothed(self) -> Path:
+        """The track smoothed afterwards, in the columns of ``export``."""
+        return self.directory / "smoothed.csv"
 
     @property
     def received(self) -> Path:
@@ -180,6 +186,7 @@ def _figures(files: Files) -> dict[str, Any]:
         "latency_ms": spread(received.latency_ms, LATENCY),
         "position_error": position_errors(received, truth),
         "accuracy": _accuracy(flown, chosen.config, stored),
+        "smoothed": _smoothed(flown, chosen.config, files.smoothed),
         "digest": {
             "live": stored.digest,
             "replayed": replayed.digest,
@@ -206,6 +213,24 @@ def _accuracy(flown: VehicleRecording, config: Config, stored: RunResult) -> dic
             digest=stored.digest,
             digest_published=stored.digest_published,
         ).to_json()
+    return None
+
+
+def _smoothed(flown: VehicleRecording, config: Config, path: Path) -> dict[str, Any] | None:
+    """The log smoothed into a track, and its errors; None for a flight too short to align in."""
+    from companion.smoothing.offline import smooth
+    from replay.assessment import assess
+    from replay.evaluation import EvaluationError
+    from replay.export import export_csv
+    from replay.recorded import record
+
+    run = record(flown, config, rate_hz=SMOOTHED_HZ)
+    track = smooth(run.tapes, run.config)
+    if not len(track):
+        return None
+    export_csv(track, path)
+    with suppress(EvaluationError):
+        return assess(flown, config, track, run.reports, solution_kind="smoothed").to_json()
     return None
 
 
