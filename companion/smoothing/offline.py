@@ -23,7 +23,6 @@ from companion.smoothing import bryson_frazier, rts
 from companion.types import F64, I64, CompanionError, Solution
 
 Method = Literal["bryson-frazier", "rts"]
-METHODS: tuple[Method, ...] = ("bryson-frazier", "rts")
 
 
 class SmoothingError(CompanionError):

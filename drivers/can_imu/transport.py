@@ -173,6 +173,8 @@ class PythonCanTransport(CanTransport):
             # -1 is what an interface answers whose descriptor is none.
             self._fd = int(self._bus.fileno())
         except Exception:
+            # Back ends are many, plug-ins among them, and refuse each in its own way; whatever it
+            # was, a thread reads instead, and a bus that is really gone says so at the first read.
             self._fd = -1
         if self._fd < 0:
             self._reader = _Reader(self._bus)

@@ -10,6 +10,7 @@ import contextlib
 import errno
 import os
 import socket
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 from companion.types import ConfigError, LinkLost
@@ -156,7 +157,7 @@ class _UdpOut:
         self._socket.close()
 
 
-class _Stream:
+class _Stream(ABC):
     """A byte stream on a non-blocking descriptor. What a write leaves over goes out first."""
 
     datagrams = False
@@ -165,17 +166,17 @@ class _Stream:
         self.name = name
         self._rest = b""
 
-    def fileno(self) -> int:
-        raise NotImplementedError
+    @abstractmethod
+    def fileno(self) -> int: ...
 
     def connected(self) -> bool:
         return True
 
-    def _receive(self) -> bytes:
-        raise NotImplementedError
+    @abstractmethod
+    def _receive(self) -> bytes: ...
 
-    def _send(self, data: bytes) -> int:
-        raise NotImplementedError
+    @abstractmethod
+    def _send(self, data: bytes) -> int: ...
 
     def read(self) -> list[bytes]:
         try:
