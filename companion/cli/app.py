@@ -401,6 +401,33 @@ def watch(
     _emit_if(as_json, picture or {})
 
 
+@app.command(no_args_is_help=True)
+def reproduce(
+    paper: Annotated[
+        Literal["kamil"], typer.Argument(metavar="PAPER", help="kamil: two-filter smoothing.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Also write figures and tables here."),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Runs of each case; without it the paper's number."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """A paper's experiment on simulated sensors: its tables beside ours, and its figures.
+
+    Errors m, m/s and degrees, times s, as the tables say.
+
+    Example: companion reproduce kamil -o kamil
+    """
+    console = _console(as_json)
+    from companion.cli.reproduce import reproduce_paper
+
+    _emit_if(as_json, reproduce_paper(console, paper, output, seeds))
+
+
 @app.command()
 def bench(
     only: Annotated[

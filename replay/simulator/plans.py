@@ -178,7 +178,7 @@ def fixed_wing(duration_s: float, rest_s: float, heading: float, rng: np.random.
     return Plan(t, vel_n, np.stack([_coordinated_roll(t, vel_n, pitch, yaw), pitch, yaw], axis=-1))
 
 
-def _roll_without_slip(t: F64, speed: F64, yaw: F64, pitch: F64, roll: F64, ahead_m: float) -> Plan:
+def roll_without_slip(t: F64, speed: F64, yaw: F64, pitch: F64, roll: F64, ahead_m: float) -> Plan:
     """Plan of an IMU ``ahead_m`` in front of an axle that moves along body x and nowhere else.
 
     v_n = C_nb ((s, 0, 0) + w_nb_b × (ahead, 0, 0))
@@ -240,7 +240,7 @@ def car_with_stops(
     pitch = 0.03 * np.sin(way / 110.0 + phase[0]) + 0.015 * np.sin(way / 40.0 + phase[1])
     # The springs let the body lean outwards, 0.35° per m/s² of lateral acceleration.
     roll = -0.006 * speed * rate(t, yaw)
-    return _roll_without_slip(t, speed, yaw, pitch, roll, CAR_IMU_AHEAD_M)
+    return roll_without_slip(t, speed, yaw, pitch, roll, CAR_IMU_AHEAD_M)
 
 
 YU_STEP_S = 0.01
@@ -266,7 +266,7 @@ def yu_table1(duration_s: float, rest_s: float, heading: float, _rng: np.random.
     plan.stay(3.0)
     speed, yaw = smooth(plan.at(t), YU_SMOOTHING_S, YU_STEP_S).T
     level = np.zeros(len(t))
-    return _roll_without_slip(t, speed, yaw, level, level, 0.0)
+    return roll_without_slip(t, speed, yaw, level, level, 0.0)
 
 
 PLANS: dict[str, PlanFunction] = {

@@ -174,15 +174,17 @@ def _of(kind: type[_S], blocks: list[Samples]) -> tuple[_S, ...]:
     return tuple(b for b in blocks if isinstance(b, kind))
 
 
-def run(scenario: Scenario, seed: int) -> Simulation:
+def run(scenario: Scenario, seed: int, trajectory: Trajectory | None = None) -> Simulation:
     """Simulate ``scenario``: recording, trajectory and true biases.
 
-    The same scenario and seed give the same bits on one machine and numpy version.
+    ``trajectory`` is driven in place of the scenario's own kind. The same scenario and seed give
+    the same bits on one machine and numpy version.
     Raises :class:`ConfigError` for a scenario that cannot be simulated.
     """
     check(scenario)
     duration_s = scenario.trajectory.duration_s
-    trajectory = plan_trajectory(scenario.trajectory, seed)
+    if trajectory is None:
+        trajectory = plan_trajectory(scenario.trajectory, seed)
     generator = np.random.default_rng
     units = [
         _inertial(spec, generator([_IMU, seed, i]), trajectory, duration_s)
