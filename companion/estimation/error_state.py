@@ -44,6 +44,12 @@ class ErrorStateFilter:
         k = phase.filters[0].k
         return int(k[lo.T_IMU]), int(k[lo.T_NOW])
 
+    @property
+    def resets(self) -> int:
+        """Declared resets so far."""
+        phase = self.phases[-1]
+        return int(phase.filters[0].k[lo.RESETS]) if phase.filters else phase.resets
+
     def rewind(self, t: int) -> None:
         """Forget everything that happened at ``t`` or later.
 
@@ -163,13 +169,9 @@ class ErrorStateFilter:
         old = self.phases[-1]
         prior = None if drop or not old.filters else old.filters[0]
         self.phases.append(
-            Phase(t, Mode.ALIGNING, prior=prior, resets=self._resets(old) + 1, reached=t - 1)
+            Phase(t, Mode.ALIGNING, prior=prior, resets=self.resets + 1, reached=t - 1)
         )
         self.events.append(Event(t, kind, text, "error" if drop else "warning"))
-
-    @staticmethod
-    def _resets(phase: Phase) -> int:
-        return int(phase.filters[0].k[lo.RESETS]) if phase.filters else phase.resets
 
     def _enter(self, change: tuple[Phase, Event] | None) -> None:
         if change is not None:

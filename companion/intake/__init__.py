@@ -1,0 +1,1 @@
+"""What arrives, in the estimator's own terms: rows for its kernels, checked, counted, in order."""

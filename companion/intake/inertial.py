@@ -1,0 +1,91 @@
+"""Inertial samples as rows of the walk: body axes, times of validity, later and later."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.config import Config
+from companion.intake.counters import Counters
+from companion.types import F64, I64, NS, ImuSamples
+
+CLOCK_BACK_NS = NS
+"""An IMU clock that goes back further than this has been restarted; less is a late sample."""
+CHUNK = 20_000
+"""Inertial samples walked between two drains of the outputs: bounds memory, not results."""
+
+
+class Mounting:
+    """The axes that a sensor's vectors are turned by, body FRD being the result."""
+
+    def __init__(self, config: Config) -> None:
+        self._axes = np.array(config.imu.axes, dtype=np.float64)
+        self._identity = bool(np.array_equal(self._axes, np.eye(3)))
+
+    def turn(self, v: F64) -> F64:
+        """Vectors (N, 3) in body axes, summed in one order.
+
+        A matrix product may sum otherwise for another N or processor, and the bits with it.
+        """
+        if self._identity:
+            return v
+        rows = [v[:, 0] * a[0] + v[:, 1] * a[1] + v[:, 2] * a[2] for a in self._axes]
+        return np.stack(rows, axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Samples later than all before them, and the restart of the clock that ends them."""
+
+    t: I64
+    rows: F64
+    restart: tuple[int, int] | None
+    """Last time on the old clock and first on the new one [ns]."""
+
+
+class InertialIntake:
+    """Turns blocks of inertial samples into rows, and says where the clock is to be believed."""
+
+    def __init__(self, config: Config, counters: Counters) -> None:
+        self._mounting = Mounting(config)
+        self._latency_ns = round(config.imu.latency_ms * 1e6)
+        self._counters = counters
+
+    def rows(self, block: ImuSamples) -> tuple[I64, F64]:
+        """Times of validity, and rows (N, 7) in body axes as the walk takes them."""
+        rows = np.empty((len(block), 7))
+        rows[:, :3] = self._mounting.turn(block.gyro_b)
+        rows[:, 3:6] = self._mounting.turn(block.accel_b)
+        rows[:, 6] = np.where(block.interval_s > 0, block.interval_s, 0.0)
+        return block.t_ns - self._latency_ns, rows
+
+    def finite(self, t: I64, rows: F64) -> tuple[I64, F64]:
+        """Without the samples that are no numbers, which are counted."""
+        if math.isfinite(rows.sum()):
+            return t, rows
+        good = np.isfinite(rows[:, :6]).all(axis=1)
+        self._counters.imu_not_finite += len(t) - int(good.sum())
+        return t[good], rows[good]
+
+    def stretch(self, t: I64, rows: F64, head: int | None) -> tuple[Stretch, I64, F64]:
+        """The samples up to a restart of the clock, and the times and rows behind it.
+
+        ``head``: time of the last sample taken before. What is not later is counted and dropped.
+        """
+        peak = np.maximum.accumulate(t if head is None else np.maximum(t, head))
+        before = np.concatenate([[t[0] - 1 if head is None else head], peak[:-1]])
+        back = np.flatnonzero(before - t > CLOCK_BACK_NS)
+        stop = int(back[0]) if len(back) else len(t)
+        fresh = t[:stop] > before[:stop]
+        self._counters.imu_out_of_order += int(stop - fresh.sum())
+        restart = (int(before[stop]), int(t[stop])) if stop < len(t) else None
+        return Stretch(t[:stop][fresh], rows[:stop][fresh], restart), t[stop:], rows[stop:]
+
+
+def in_order(t: I64, head: int | None) -> bool:
+    """Whether inertial samples can be taken as they are: some, not too many, each later."""
+    if not 0 < len(t) <= CHUNK or (head is not None and t[0] <= head):
+        return False
+    return len(t) == 1 or bool(np.all(t[1:] > t[:-1]))

@@ -1,0 +1,156 @@
+"""What leaves the engine: each epoch once as published and once as settled, reports, events.
+
+Going back in time rewrites rows and takes events back; what has been said stays said.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.estimation import update as up
+from companion.estimation import walk as w
+from companion.estimation.buffers import SampleBuffer
+from companion.estimation.digest import RowDigest
+from companion.estimation.error_state import ErrorStateFilter
+from companion.types import F64, I64, AidingReports, Event, Outputs, Solution
+
+_NEVER = int(np.iinfo(np.int64).min)
+
+NO_SOLUTION = Solution.empty()
+NO_REPORTS = AidingReports.empty()
+NOTHING = Outputs(NO_SOLUTION, NO_SOLUTION, NO_REPORTS, ())
+"""What a step gives out that leaves nothing to say."""
+
+
+class Outlet:
+    """Remembers what has been published, settled and said, and hashes the first two."""
+
+    def __init__(self) -> None:
+        self._published_t = self._settled_t = _NEVER
+        self._fresh: list[tuple[I64, F64]] = []
+        self._said: dict[tuple[int, str], None] = {}
+        self._unsaid: list[Event] = []
+        self._settled = RowDigest()
+        self._published = RowDigest()
+
+    @property
+    def digest(self) -> str:
+        """Hash over the bits of the settled solution so far."""
+        return self._settled.hexdigest()
+
+    @property
+    def digest_published(self) -> str:
+        """Hash over everything published, in order."""
+        return self._published.hexdigest()
+
+    def restart(self) -> None:
+        """The clock began anew: its times may be earlier than those given out before."""
+        self._published_t = self._settled_t = _NEVER
+
+    def publish(self, estimator: ErrorStateFilter) -> None:
+        """Set aside the epochs reached for the first time: going back may rewrite them."""
+        rows = estimator.rows
+        a, b = rows.after(self._published_t), rows.end
+        if a < b:
+            self._published.update(rows.t[a:b], rows.rows[a:b])
+            self._published_t = int(rows.t[b - 1])
+            self._fresh.append((rows.t[a:b].copy(), rows.rows[a:b].copy()))
+        if estimator.events:
+            self._note(estimator.events)
+
+    def published(self) -> Solution:
+        """The epochs set aside since the last call."""
+        fresh, self._fresh = self._fresh, []
+        return _solution(fresh)
+
+    def settled(self, rows: SampleBuffer, horizon: int) -> Solution:
+        """Output rows up to ``horizon``, which nothing can change any more; they leave ``rows``."""
+        b = rows.after(horizon)
+        if b <= rows.start:
+            return NO_SOLUTION
+        settled = NO_SOLUTION
+        # A snapshot may lie before the ring: from there, settled epochs are walked once more.
+        a = rows.after(self._settled_t)
+        if a < b:
+            self._settled.update(rows.t[a:b], rows.rows[a:b])
+            self._settled_t = int(rows.t[b - 1])
+            settled = _solution([(rows.t[a:b].copy(), rows.rows[a:b].copy())])
+        rows.start = b
+        return settled
+
+    def events(self, estimator: ErrorStateFilter, horizon: int = _NEVER) -> tuple[Event, ...]:
+        """Events not said before; those up to ``horizon`` can be forgotten."""
+        self._note(estimator.events)
+        fresh, self._unsaid = tuple(self._unsaid), []
+        if estimator.events:
+            estimator.events = [e for e in estimator.events if e.t_ns > horizon]
+        if self._said:
+            for key in [key for key in self._said if key[0] <= horizon]:
+                del self._said[key]
+        return fresh
+
+    def _note(self, events: list[Event]) -> None:
+        """Set aside events that were not said before: going back may take them back."""
+        for event in events:
+            if (event.t_ns, event.kind) not in self._said:
+                self._said[(event.t_ns, event.kind)] = None
+                self._unsaid.append(event)
+
+
+def reports(buffer: SampleBuffer, refusals: list[AidingReports]) -> AidingReports:
+    """``refusals`` and the report rows of ``buffer``, which is empty afterwards, as columns."""
+    parts = refusals
+    if len(buffer):
+        t, r = buffer.t[buffer.start : buffer.end], buffer.rows[buffer.start : buffer.end]
+        parts = [
+            *parts,
+            AidingReports(
+                t.copy(),
+                r[:, up.R_CHANNEL].astype(np.int64),
+                r[:, up.R_SOURCE].astype(np.int64),
+                r[:, up.R_DOF].astype(np.int64),
+                r[:, up.R_INNOVATION : up.R_INNOVATION + 3].copy(),
+                r[:, up.R_SD : up.R_SD + 3].copy(),
+                r[:, up.R_NIS].copy(),
+                r[:, up.R_GATE].copy(),
+                r[:, up.R_SCALE_USED].copy(),
+                r[:, up.R_VERDICT].astype(np.int64),
+            ),
+        ]
+        buffer.start = buffer.end = 0
+    return AidingReports.concatenate(parts) if parts else NO_REPORTS
+
+
+def join(parts: list[Outputs]) -> Outputs:
+    """What several steps gave out, as one."""
+    if len(parts) == 1:
+        return parts[0]
+    return Outputs(
+        Solution.concatenate([p.published for p in parts]),
+        Solution.concatenate([p.settled for p in parts]),
+        AidingReports.concatenate([p.reports for p in parts]),
+        tuple(e for p in parts for e in p.events),
+    )
+
+
+def _solution(parts: list[tuple[I64, F64]]) -> Solution:
+    """Output rows, times and values of their own, as columns that are views of them."""
+    if not parts:
+        return NO_SOLUTION
+    t, r = parts[0]
+    if len(parts) > 1:
+        t = np.concatenate([part[0] for part in parts])
+        r = np.concatenate([part[1] for part in parts])
+    return Solution(
+        t,
+        r[:, w.O_LAT],
+        r[:, w.O_LAT + 1],
+        r[:, w.O_LAT + 2],
+        r[:, w.O_VEL : w.O_VEL + 3],
+        r[:, w.O_Q : w.O_Q + 4],
+        r[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3],
+        r[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3],
+        r[:, w.O_COV : w.O_COV + 30].reshape(-1, 5, 6),
+        r[:, w.O_MODE].astype(np.int64),
+        r[:, w.O_RESETS].astype(np.int64),
+    )
