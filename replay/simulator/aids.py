@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.navigation import earth
 from companion.types import F64, I64, CompanionError
+from replay.simulator.disturbances import NoiseChange, noise_factor
 from replay.simulator.noise import gauss_markov, random_walk
 from replay.simulator.trajectory import Trajectory
 
@@ -59,6 +60,7 @@ class GnssSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     during_outage: Literal["silent", "no-fix"] = "silent"
     """``no-fix``: the messages go on, with fix type 1 and nothing in them."""
     faults: tuple[Fault, ...] = ()
+    noise_changes: tuple[NoiseChange, ...] = ()
     spike_probability: float = 0.0
     """Share of single fixes with an added spike (multipath)."""
     spike_sd_m: float = 20.0
@@ -179,9 +181,10 @@ def fixes(spec: GnssSpec, rng: np.random.Generator, trajectory: Trajectory, t: F
     sd_white = np.array([spec.sd_position_m, spec.sd_position_m, spec.sd_height_m])
     sd_slow = np.array([spec.correlated_sd_position_m] * 2 + [spec.correlated_sd_height_m])
     sd_vel = np.array([spec.sd_velocity_mps, spec.sd_velocity_mps, spec.sd_velocity_down_mps])
-    error = rng.standard_normal((count, 3)) * sd_white
+    more = noise_factor(spec.noise_changes, t)
+    error = rng.standard_normal((count, 3)) * sd_white * more
     error += gauss_markov(rng, count, 1.0 / spec.rate_hz, sd_slow, spec.correlated_tau_s)
-    vel_error = rng.standard_normal((count, 3)) * sd_vel
+    vel_error = rng.standard_normal((count, 3)) * sd_vel * more
     spikes = rng.uniform(size=(count, 1)) < spec.spike_probability
     error += spikes * rng.standard_normal((count, 3)) * spec.spike_sd_m
     jitter = rng.uniform(0.0, 1e-3, count) * spec.latency_jitter_ms

@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.config import DEG
 from companion.types import F64
+from replay.simulator.disturbances import BiasStep, Shaking, shaken, stepped
 from replay.simulator.noise import gauss_markov, narrow_band, random_walk
 
 
@@ -57,6 +58,8 @@ class ImuSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """RMS of rotor or engine vibration on each accelerometer axis, moving the sensor to and fro
     by micrometres: not part of the truth. From just before the first motion to the last one."""
     vibration_hz: float = 80.0
+    bias_steps: tuple[BiasStep, ...] = ()
+    shaking: tuple[Shaking, ...] = ()
 
     def modelled_only(self) -> ImuSpec:
         """The same unit with just what the 15-state filter models, for consistency tests.
@@ -79,6 +82,8 @@ class ImuSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             accel_step_mps2=0.0,
             accel_range_mps2=math.inf,
             vibration_mps2=0.0,
+            bias_steps=(),
+            shaking=(),
         )
 
     @property
@@ -174,7 +179,7 @@ def _corrupt(
     *,
     bias: F64,
     noise: float,
-    vibration: F64 | float,
+    vibration: F64,
     scale: float,
     misalignment: float,
     quantum: float,
@@ -213,15 +218,20 @@ def measure(
     rng: np.random.Generator,
     gyro_ideal: F64,
     accel_ideal: F64,
+    t: F64,
     running: F64 | float = 1.0,
 ) -> tuple[F64, F64, F64, F64]:
     """Gyro, accelerometer, gyro bias, accelerometer bias, each (N, 3) in SI, of a simulated unit.
 
-    ``running`` (N, 1) scales the vibration: 1 with motors on, 0 with motors off.
+    ``t`` (N,) [s] since the start places what happens for a while; ``running`` (N, 1) scales the
+    vibration: 1 with motors on, 0 with motors off.
     A zero-valued error still draws its random numbers, so that switching one off leaves the
     others as they were.
     """
     count, step_s = len(gyro_ideal), 1.0 / spec.rate_hz
+    # A child's numbers are its own: the draws below stay as they are without disturbances.
+    shaken_gyro, shaken_accel = shaken(spec.shaking, rng.spawn(1)[0], t, step_s)
+    gyro_step, accel_step = stepped(spec.bias_steps, t)
     gyro_bias = DEG * _bias(
         rng,
         count,
@@ -231,6 +241,7 @@ def measure(
         spec.gyro_instability_tau_s,
         spec.gyro_bias_walk_dps_rts,
     )
+    gyro_bias += gyro_step
     accel_bias = _bias(
         rng,
         count,
@@ -240,13 +251,14 @@ def measure(
         spec.accel_instability_tau_s,
         spec.accel_bias_walk_mps2_rts,
     )
+    accel_bias += accel_step
     gyro = _corrupt(
         rng,
         gyro_ideal,
         step_s,
         bias=gyro_bias,
         noise=spec.gyro_noise_dps_rthz * DEG,
-        vibration=0.0,
+        vibration=shaken_gyro,
         scale=spec.gyro_scale_ppm * 1e-6,
         misalignment=spec.gyro_misalignment_mrad * 1e-3,
         quantum=spec.gyro_step_dps * DEG,
@@ -259,7 +271,8 @@ def measure(
         bias=accel_bias,
         noise=spec.accel_noise_mps2_rthz,
         vibration=running
-        * narrow_band(rng, count, step_s, spec.vibration_mps2, spec.vibration_hz, 3),
+        * narrow_band(rng, count, step_s, spec.vibration_mps2, spec.vibration_hz, 3)
+        + shaken_accel,
         scale=spec.accel_scale_ppm * 1e-6,
         misalignment=spec.accel_misalignment_mrad * 1e-3,
         quantum=spec.accel_step_mps2,

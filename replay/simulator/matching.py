@@ -15,6 +15,7 @@ _VEHICLE_KINDS: dict[str, Any] = {
     "static": "unknown",
     "hover": "multirotor",
     "multirotor-mission": "multirotor",
+    "multirotor-sport": "multirotor",
     "fixed-wing": "fixed-wing",
     "car-with-stops": "ground",
     "yu-table1": "ground",

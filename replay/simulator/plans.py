@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -82,8 +83,21 @@ def _leg_s(leg: F64, speed: float, accel: float) -> float:
     return length / peak + peak / accel
 
 
-def _turn_s(angle: float) -> float:
-    return abs(angle) / math.radians(45.0)
+class Pace(NamedTuple):
+    """How hard a multirotor is flown between its waypoints."""
+
+    speed: tuple[float, float]
+    """Slowest and fastest leg [m/s]."""
+    accel: tuple[float, float]
+    """Of setting off and stopping [m/s²]; 8 m/s² is a bank of 39°."""
+    turn_dps: float
+    """Of the nose."""
+    smoothing_s: float
+    """Width of the kernel over the commands: how soon an acceleration is reached."""
+
+
+_MISSION = Pace((5.0, 11.0), (1.5, 3.0), 45.0, 1.5)
+_SPORT = Pace((12.0, 20.0), (6.0, 9.0), 200.0, 0.6)
 
 
 def multirotor_mission(
@@ -95,6 +109,19 @@ def multirotor_mission(
     sideways). The last leg leads home, where the vehicle lands and rests. A leg is flown only if
     there is time to come home after it: a duration too short for that stays on the ground.
     """
+    return _between_waypoints(duration_s, rest_s, heading, rng, _MISSION)
+
+
+def multirotor_sport(
+    duration_s: float, rest_s: float, heading: float, rng: np.random.Generator
+) -> Plan:
+    """The same as hard as a light quadrotor can: 20 m/s, banks of 40°, 200 °/s of the nose."""
+    return _between_waypoints(duration_s, rest_s, heading, rng, _SPORT)
+
+
+def _between_waypoints(
+    duration_s: float, rest_s: float, heading: float, rng: np.random.Generator, pace: Pace
+) -> Plan:
     t = knots(duration_s, STEP_S)
     plan = Schedule(0.0, 0.0, 0.0, heading)
     plan.stay(rest_s)
@@ -104,15 +131,16 @@ def multirotor_mission(
     while True:
         # Pauses and slowing down on the way take at most 10 s beside the leg home and the descent.
         homeward = 10.0 + _leg_s(np.append(target[:2], 0.1), 8.0, 2.0) - target[2] / 2.0
-        if plan.now + _turn_s(turn) + _leg_s(target - at, speed, accel) + homeward > duration_s:
+        turn_s = abs(turn) / math.radians(pace.turn_dps)
+        if plan.now + turn_s + _leg_s(target - at, speed, accel) + homeward > duration_s:
             break
         yaw = plan.values[3] + turn
-        plan.go(_turn_s(turn), 0.0, 0.0, 0.0, yaw)
+        plan.go(turn_s, 0.0, 0.0, 0.0, yaw)
         _fly(plan, target - at, speed, accel)
         plan.stay(rng.uniform(1.5, 4.0))
         at = target
         target = np.append(rng.uniform(-80.0, 80.0, 2), -rng.uniform(15.0, 45.0))
-        speed, accel = rng.uniform(5.0, 11.0), rng.uniform(1.5, 3.0)
+        speed, accel = rng.uniform(*pace.speed), rng.uniform(*pace.accel)
         bearing = math.atan2(target[1] - at[1], target[0] - at[0])
         turn = math.remainder(bearing - yaw, 2 * math.pi) if rng.uniform() < 2 / 3 else 0.0
     if at[2] < 0.0:
@@ -120,7 +148,7 @@ def multirotor_mission(
         _fly(plan, np.append(-at[:2], 0.1), 8.0, 2.0)
         plan.stay(2.0)
         _fly(plan, np.array([0.0, 0.0, -at[2] - 0.1]), 2.0, 1.0)
-    commands = smooth(plan.at(t), 1.5, STEP_S)
+    commands = smooth(plan.at(t), pace.smoothing_s, STEP_S)
     vel_n = commands[:, :3]
     return Plan(t, vel_n, _multirotor_attitude(t, vel_n, commands[:, 3]))
 
@@ -273,6 +301,7 @@ PLANS: dict[str, PlanFunction] = {
     "static": static,
     "hover": hover,
     "multirotor-mission": multirotor_mission,
+    "multirotor-sport": multirotor_sport,
     "fixed-wing": fixed_wing,
     "car-with-stops": car_with_stops,
     "yu-table1": yu_table1,

@@ -5,8 +5,8 @@ A scenario file has the sections below; every key has a default, unknown keys fa
     name = "windy-mission"
 
     [trajectory]
-    kind = "multirotor-mission"   # static, hover, multirotor-mission, fixed-wing,
-    duration_s = 300.0            # car-with-stops, yu-table1
+    kind = "multirotor-mission"   # static, hover, multirotor-mission, multirotor-sport,
+    duration_s = 300.0            # fixed-wing, car-with-stops, yu-table1
     rest_s = 10.0                 # at rest before the first motion
     heading_deg = 40.0
 
@@ -41,7 +41,13 @@ class TrajectorySpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """What is flown or driven, where and for how long."""
 
     kind: Literal[
-        "static", "hover", "multirotor-mission", "fixed-wing", "car-with-stops", "yu-table1"
+        "static",
+        "hover",
+        "multirotor-mission",
+        "multirotor-sport",
+        "fixed-wing",
+        "car-with-stops",
+        "yu-table1",
     ] = "multirotor-mission"
     duration_s: float = 180.0
     rest_s: float = 10.0

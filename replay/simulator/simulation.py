@@ -86,7 +86,7 @@ def _inertial(
     else:
         ideal = trajectory.inertial(valid)
     gyro, accel, gyro_bias, accel_bias = imu.measure(
-        spec, rng, *ideal, _running(trajectory, valid, duration_s)
+        spec, rng, *ideal, valid, _running(trajectory, valid, duration_s)
     )
     rx = stamp_ns + _ns(np.array(spec.arrival_ms * 1e-3))
     samples = ImuSamples(spec.source, stamp_ns, rx, stamp_ns, gyro, accel, interval)

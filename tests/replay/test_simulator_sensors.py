@@ -33,7 +33,7 @@ def assert_variance(samples: F64, variance: float, effective: float | None = Non
 def still(spec: ImuSpec, seconds: float, seed: int = 5) -> tuple[F64, F64, F64, F64]:
     count = round(seconds * spec.rate_hz)
     zero = np.zeros((count, 3))
-    return measure(spec, np.random.default_rng(seed), zero, zero)
+    return measure(spec, np.random.default_rng(seed), zero, zero, zero[:, 0])
 
 
 def fix_errors(sim: Simulation) -> tuple[F64, F64]:
@@ -109,7 +109,7 @@ def test_turn_on_bias_and_its_history_are_what_the_unit_reports() -> None:
 def test_outputs_are_quantised_and_saturate() -> None:
     spec = ImuSpec(gyro_step_dps=0.5, gyro_range_dps=100.0, accel_range_mps2=20.0)
     ideal = np.array([[2.0, -0.03, 0.01], [0.0, 0.0, -3.0]])
-    gyro, accel, _, _ = measure(spec, np.random.default_rng(0), ideal, ideal * 15.0)
+    gyro, accel, _, _ = measure(spec, np.random.default_rng(0), ideal, ideal * 15.0, ideal[:, 0])
     np.testing.assert_allclose(gyro / DEG, [[100.0, -1.5, 0.5], [0.0, 0.0, -100.0]], atol=1e-12)
     np.testing.assert_allclose(accel, [[20.0, -0.45, 0.15], [0.0, 0.0, -20.0]], atol=1e-12)
 
@@ -117,7 +117,9 @@ def test_outputs_are_quantised_and_saturate() -> None:
 def test_scale_factor_and_misalignment_have_their_spread() -> None:
     spec = ImuSpec(accel_scale_ppm=1000.0, accel_misalignment_mrad=2.0)
     axis = np.array([[0.0, 0.0, 10.0]])
-    out = np.array([measure(spec, np.random.default_rng(s), axis, axis)[1][0] for s in range(300)])
+    zero = axis[:, 0]
+    runs = [measure(spec, np.random.default_rng(s), axis, axis, zero) for s in range(300)]
+    out = np.array([accel[0] for _, accel, _, _ in runs])
     assert_variance(out[:, 2] - 10.0, (10.0 * 1e-3) ** 2)
     assert_variance(out[:, :2], (10.0 * 2e-3) ** 2)
 
