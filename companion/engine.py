@@ -88,12 +88,12 @@ class Engine:
         if isinstance(samples, ImuSamples):
             return self._step_imu(samples)
         place = self._aiding.place
-        if isinstance(samples, MagSamples) and self.config.mag.use and not place.ready(samples):
+        self.counters.aids += len(samples)
+        if isinstance(samples, MagSamples) and self._aiding.waits(samples):
             return NOTHING
         if isinstance(samples, GnssSamples) and place.waiting:
             # Heading at the start comes from these: they go in before the fix does.
             for mag in place.released(samples):
-                place.ready(mag)
                 self._step_aids(mag)
         self._step_aids(samples)
         # Rows walked again settle with the next inertial samples; what is new is said at once.
@@ -116,6 +116,7 @@ class Engine:
         heads = np.concatenate(([NEVER if head is None else head], t))
         late: list[tuple[int, int, Admitted]] = []
         for samples in aids:
+            self.counters.aids += len(samples)
             at = np.searchsorted(imu.seq, samples.seq)
             admitted = self._admit(samples, heads[at])
             if admitted is None:

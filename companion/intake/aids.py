@@ -103,7 +103,6 @@ class AidIntake:
         ``heads`` (N,): time of validity of the last inertial sample when each of them arrived;
         ``started``: there is a filter, so that a fix is no longer needed to begin at.
         """
-        self._counters.aids += len(samples)
         if isinstance(samples, GnssSamples):
             kind, latency_ms = w.KIND_GNSS, self.config.gnss.latency_ms
             rows, verdict = self._gnss(samples, started)
@@ -130,6 +129,19 @@ class AidIntake:
         if len(used) == 0:
             return None
         return Admitted(kind, source, t, rows, heads, np.arange(len(t))).take(used)
+
+    def waits(self, samples: MagSamples) -> bool:
+        """Whether magnetometer samples wait for a first fix, for want of a declination.
+
+        The last few arrivals do; those before them are refused.
+        """
+        if not self.config.mag.use or self.place.ready(samples.t_ns):
+            return False
+        gone = self.place.hold(samples)
+        if gone is not None:
+            verdict = np.full(len(gone), Verdict.REFUSED_NOT_ALIGNED)
+            self._refuse(w.KIND_MAG, 0, gone.t_ns, verdict)
+        return True
 
     def take_refusals(self) -> list[AidingReports]:
         """Reports of what was refused since the last call."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.config import DEG, Config
 from companion.measurements.magnetometer import declination
-from companion.types import NS, GnssSamples, MagSamples
+from companion.types import I64, NS, GnssSamples, MagSamples
 
 EARLY_MAG = 4
 """Magnetometer arrivals kept until the first fix tells the place and so the declination."""
@@ -21,7 +21,7 @@ class Place:
     def __init__(self, config: Config) -> None:
         self._configured = config.mag.declination_deg
         self._fix: tuple[float, float, float] | None = None
-        self._early: deque[MagSamples] = deque(maxlen=EARLY_MAG)
+        self._early: deque[MagSamples] = deque()
         self.declination: float | None = None
         """[rad], east positive; None until it is known."""
 
@@ -40,25 +40,26 @@ class Place:
             m = int(good[0])
             self._fix = round(float(lat[m]), 3), round(float(lon[m]), 3), 0.0
 
-    def ready(self, samples: MagSamples) -> bool:
-        """Whether declination is known: configured, or the model's at the first fix's place.
-
-        Samples that come before are kept for :meth:`released`, the last few of them.
-        """
+    def ready(self, t_ns: I64) -> bool:
+        """Whether declination is known: configured, or the model's at the place, at ``t_ns[0]``."""
         if self.declination is None:
             if self._configured is not None:
                 self.declination = self._configured * DEG
             elif self._fix is not None:
-                when = int(samples.t_ns[0]) // _MONTH_NS * _MONTH_NS
+                when = int(t_ns[0]) // _MONTH_NS * _MONTH_NS
                 self.declination = declination(*self._fix, when)
-            else:
-                self._early.append(samples)
         return self.declination is not None
+
+    def hold(self, samples: MagSamples) -> MagSamples | None:
+        """Keep ``samples`` until :meth:`released`; returns those that there is no more room for."""
+        gone = self._early.popleft() if len(self._early) == EARLY_MAG else None
+        self._early.append(samples)
+        return gone
 
     def released(self, fixes: GnssSamples) -> list[MagSamples]:
         """What waited, once ``fixes`` say where the run is; in order of arrival."""
         self.note(fixes)
-        if self._fix is None:
+        if not self._early or not self.ready(self._early[0].t_ns):
             return []
         early = list(self._early)
         self._early.clear()
