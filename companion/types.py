@@ -157,6 +157,42 @@ class ReferenceSamples(Samples):
     """(N, 3) roll, pitch, yaw [rad], NaN where unknown."""
 
 
+@dataclass(frozen=True, slots=True)
+class RawGnssSamples(Samples):
+    """Raw measurements of a satellite receiver, an epoch a row; K is the most satellites of any.
+
+    Satellites are numbered as in :mod:`companion.gnss`: 100 · (system + 1) + PRN with GPS 0,
+    Galileo 1, BeiDou 2; one signal each: L1 C/A, E1, B1I.
+    """
+
+    week: I64
+    """(N,) GPS week of reception, by the receiver's own clock."""
+    tow: F64
+    """(N,) second of that week, as above: what the pseudoranges refer to."""
+    sat: I64
+    """(N, K) satellites; 0 where a row has fewer."""
+    pseudorange: F64
+    """(N, K) [m] as measured; NaN without."""
+    rate: F64
+    """(N, K) its rate [m/s], positive where the range grows; NaN without Doppler."""
+    cn0: F64
+    """(N, K) carrier to noise density [dB-Hz]."""
+    sd_range: F64
+    """(N, K) the receiver's own 1σ of the pseudorange [m]; NaN without."""
+    sd_rate: F64
+    """(N, K) the same for the rate [m/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class BroadcastSamples(Samples):
+    """Navigation messages: an ephemeris, or the coefficients of the ionosphere, a row."""
+
+    sat: I64
+    """(N,) whose ephemeris; 0 for an ionosphere."""
+    values: F64
+    """(N, 28) the columns of :mod:`companion.gnss.orbit`; of an ionosphere α0…α3, β0…β3 first."""
+
+
 AidingSamples = GnssSamples | BaroSamples | MagSamples
 AnySamples = ImuSamples | GnssSamples | BaroSamples | MagSamples
 

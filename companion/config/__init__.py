@@ -37,6 +37,7 @@ from companion.config.live import (
 )
 from companion.config.live_checks import check_live
 from companion.config.ranges import rotation
+from companion.config.raw_gnss import RawGnss, check_raw_gnss
 from companion.config.section import Section
 from companion.config.spelled import to_toml
 from companion.types import ConfigError
@@ -59,6 +60,7 @@ __all__ = [
     "Log",
     "Mag",
     "Mavlink",
+    "RawGnss",
     "ToAutopilot",
     "Vehicle",
     "Zenoh",
@@ -75,6 +77,7 @@ class Config(Section):
     vehicle: Vehicle = Vehicle()
     imu: Imu = Imu()
     gnss: Gnss = Gnss()
+    raw_gnss: RawGnss = RawGnss()
     baro: Baro = Baro()
     mag: Mag = Mag()
     constraints: Constraints = Constraints()
@@ -192,6 +195,7 @@ def _check(config: Config) -> None:
         raise ConfigError("key 'engine.gate_probability': between 0.5 and 1, such as 0.9999")
     if not 4 <= config.alignment.hypotheses <= 72:
         raise ConfigError("key 'alignment.hypotheses': between 4 and 72")
+    check_raw_gnss(config.raw_gnss)
     check_live(config)
 
 

@@ -1,0 +1,61 @@
+"""Configuration of raw GNSS: what ranges are worth, which satellites are used, receiver's clock."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from companion.config.ranges import positive, within
+from companion.config.section import Section
+from companion.types import ConfigError
+
+
+class RawGnss(Section):
+    """Pseudoranges and Doppler. The lever arm is the antenna's, ``gnss.lever_arm_b_m``."""
+
+    coupling: Literal["off", "loose", "tight"] = "off"
+    """``tight``: the filter takes each range, so that fewer than four satellites still aid;
+    ``loose``: it takes the least-squares position and velocity of each epoch; ``off``: neither."""
+    source: str = "auto"
+    latency_ms: float = 0.0
+    """Stamp − validity of an epoch."""
+    systems: tuple[Literal["gps", "galileo", "beidou"], ...] = ("gps", "galileo", "beidou")
+    sd_range_m: float = 1.0
+    """Pseudorange at the zenith with a strong signal, 1σ; grows with 1/sin of the elevation and as
+    the signal weakens. A larger deviation that the receiver itself reports is believed."""
+    sd_rate_mps: float = 0.05
+    """Range rate (Doppler) with a strong signal, 1σ."""
+    strong_cn0_dbhz: float = 45.0
+    """Below it variances grow tenfold every 10 dB."""
+    iono_residual: float = 0.3
+    """Part of the modelled ionospheric delay that is left as error, 1σ (the model takes off about
+    half of the delay, RMS)."""
+    elevation_mask_deg: float = 10.0
+    choice: Literal["all", "best"] = "all"
+    """``best``: only the ``best_of`` satellites with the smallest GDOP, over all combinations."""
+    best_of: int = 4
+    exclude: bool = True
+    """Leave out satellites whose range contradicts the others, epoch by epoch."""
+    clock_walk_m_rts: float = 0.1
+    """Receiver clock: random walk of its bias [m/√s]."""
+    clock_drift_walk_mps_rts: float = 0.2
+    """And of its drift [m/s/√s]."""
+    system_bias_sd_m: float = 100.0
+    """Bias of Galileo and BeiDou against GPS in the receiver, 1σ at the start."""
+    system_bias_walk_m_rts: float = 0.01
+
+
+def check_raw_gnss(raw: RawGnss) -> None:
+    """Raise :class:`ConfigError` for values that cannot be."""
+    for name, unit in (
+        ("sd_range_m", "metres"), ("sd_rate_mps", "m/s"), ("clock_walk_m_rts", "m/√s"),
+        ("clock_drift_walk_mps_rts", "m/s/√s"), ("system_bias_sd_m", "metres"),
+        ("system_bias_walk_m_rts", "m/√s"),
+    ):  # fmt: skip
+        positive(f"raw_gnss.{name}", getattr(raw, name), unit)
+    within("raw_gnss.latency_ms", raw.latency_ms, 0.0, 2000.0, "milliseconds")
+    within("raw_gnss.strong_cn0_dbhz", raw.strong_cn0_dbhz, 20.0, 60.0, "dB-Hz")
+    within("raw_gnss.iono_residual", raw.iono_residual, 0.0, 1.0, "a part")
+    within("raw_gnss.elevation_mask_deg", raw.elevation_mask_deg, 0.0, 60.0, "degrees")
+    within("raw_gnss.best_of", raw.best_of, 4, 12, "satellites")
+    if not raw.systems:
+        raise ConfigError("key 'raw_gnss.systems': at least one of 'gps', 'galileo', 'beidou'")

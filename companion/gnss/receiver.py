@@ -1,0 +1,213 @@
+"""One receiver's stream: ephemerides and raw epochs in, corrected satellites and points out.
+
+Everything that a measurement needs before a filter may have it: its ephemeris, the correction of
+satellite clock and ionosphere, elevation mask, choice of satellites, exclusion of faults, steps of
+the receiver's clock. A pure function of the stream in its own order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from companion.config import DEG, RawGnss
+from companion.gnss.broadcast import Ephemerides
+from companion.gnss.clock_steps import ClockSteps
+from companion.gnss.corrected import (
+    NOISE_SIZE,
+    ROW_SIZE,
+    S_RANGE,
+    S_SAT,
+    S_SYSTEM,
+    V_CN0,
+    V_IONO,
+    V_MASK,
+    V_RANGE_SD,
+    V_RATE_SD,
+    correct,
+    expected_range,
+)
+from companion.gnss.geometry import best_set, dilution, geodetic
+from companion.gnss.single_point import P_CLOCK, P_POS, P_RATE, POINT_SIZE, SOLVED, TOO_FEW, solve
+from companion.gnss.systems import SYSTEM_NAMES, satellite_name
+from companion.types import F64, I64, BroadcastSamples, Event, RawGnssSamples
+
+NAMES = tuple(name.lower() for name in SYSTEM_NAMES)
+FAULT_PROBABILITY = 1e-4
+"""That the test of an epoch's residuals cries fault where there is none."""
+GUESS_S = 600.0
+"""A place this old no longer tells elevations or clock steps."""
+MOST_DOF = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """One epoch, ready for a filter."""
+
+    t_ns: int
+    rows: F64
+    """(M, 12) satellites in use, columns ``S_`` of :mod:`corrected`, clock offset taken off."""
+    sky: F64
+    """(M, 2) azimuth, elevation [rad]."""
+    point: F64 | None
+    """(30,) the epoch's own solution, columns ``P_`` of :mod:`single_point`; None without."""
+    dop: F64
+    """(5,) GDOP, PDOP, HDOP, VDOP, TDOP of the satellites in use."""
+    excluded: tuple[int, ...]
+    """Satellites whose range contradicted the others."""
+    without: dict[str, list[int]]
+    """Satellites that could not be used, by reason."""
+    events: tuple[Event, ...]
+
+
+class Receiver:
+    """State of one stream of raw measurements."""
+
+    def __init__(self, config: RawGnss) -> None:
+        self.config = config
+        self.ephemerides = Ephemerides()
+        self.clock = ClockSteps()
+        self.unsolved = 0
+        """Epochs of four satellites and more whose ranges fit no place."""
+        self._place = np.zeros(3)
+        self._place_s = -math.inf
+        self._clocks = np.full(3, np.nan)
+        self._set: tuple[int, ...] = ()
+        self._blamed: dict[int, str] = {}
+        self._systems = {NAMES.index(name) for name in config.systems}
+        self._gates = chi2.ppf(1.0 - FAULT_PROBABILITY, np.arange(1, MOST_DOF + 1))
+        noise = np.empty(NOISE_SIZE)
+        noise[V_RANGE_SD], noise[V_RATE_SD] = config.sd_range_m, config.sd_rate_mps
+        noise[V_CN0], noise[V_IONO] = config.strong_cn0_dbhz, config.iono_residual
+        noise[V_MASK] = config.elevation_mask_deg * DEG
+        self._noise = noise
+
+    def listen(self, messages: BroadcastSamples) -> None:
+        """Take navigation messages."""
+        self.ephemerides.take(messages)
+
+    def take(self, raw: RawGnssSamples, i: int) -> Prepared:
+        """Prepare epoch ``i`` of a block."""
+        week, tow, t_ns = int(raw.week[i]), float(raw.tow[i]), int(raw.t_ns[i])
+        now = week * 604_800.0 + tow
+        if abs(now - self._place_s) > GUESS_S:
+            self._place[:] = 0.0
+        sat = np.array(
+            [s if s and s // 100 - 1 in self._systems else 0 for s in raw.sat[i].tolist()],
+            np.int64,
+        )
+        table, which, without = self.ephemerides.table(sat, week, tow)
+        observed = np.stack(
+            [x[i] for x in (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate)], axis=1
+        )
+        observed[~np.isfinite(observed[:, 2]), 2] = self._noise[V_CN0]
+        which[~np.isfinite(observed[:, 0])] = -1
+        rows, sky = np.empty((len(sat), ROW_SIZE)), np.empty((len(sat), 2))
+        point, used = np.full(POINT_SIZE, np.nan), np.ones(len(sat), np.int64)
+        code, m = TOO_FEW, 0
+        # From nowhere, the first solution only tells what is low and where the ionosphere is.
+        for _ in range(2):
+            place = self._place
+            known = bool(place.any())
+            m = correct(
+                table, which, week, tow, observed, place,
+                self.ephemerides.ionosphere, self._noise, rows, sky,
+            )  # fmt: skip
+            code = solve(rows, m, self._place, self._gates, point, used)
+            if code == SOLVED:
+                self._place, self._place_s = point[P_POS : P_POS + 3].copy(), now
+            if known or code != SOLVED:
+                break
+        return self._finish(t_ns, now, rows[:m], sky[:m], used[:m], code, point, without)
+
+    def _finish(
+        self, t_ns: int, now: float, rows: F64, sky: F64, used: I64, code: int, point: F64,
+        without: dict[str, list[int]],
+    ) -> Prepared:  # fmt: skip
+        solved = code == SOLVED
+        self.unsolved += not solved and code != TOO_FEW
+        excluded: tuple[int, ...] = ()
+        offset = self._offset(now, rows, point if solved else None)
+        keep = np.ones(len(rows), np.bool_)
+        if solved and self.config.exclude:
+            # Judged by the residuals; the only one of its system was left out without judgement.
+            sats = rows[:, S_SAT].astype(np.int64)
+            counts = np.bincount(rows[:, S_SYSTEM].astype(np.int64), minlength=3)
+            alone = counts[rows[:, S_SYSTEM].astype(np.int64)] == 1
+            keep = (used == 1) | alone
+            excluded = tuple(sats[~keep].tolist())
+        elif not solved and code != TOO_FEW and self.config.exclude:
+            keep[:] = False
+        rows, sky = rows[keep], sky[keep]
+        chosen = self._choose(rows, sky)
+        rows, sky = rows[chosen].copy(), sky[chosen]
+        rows[:, S_RANGE] -= offset
+        dop = np.empty(5)
+        systems = rows[:, S_SYSTEM].astype(np.int64)
+        dilution(_lines(sky), systems, len(rows), dop)
+        events = self._events(t_ns, rows, dop, excluded, without)
+        return Prepared(t_ns, rows, sky, point if solved else None, dop, excluded, without, events)
+
+    def _offset(self, now: float, rows: F64, point: F64 | None) -> float:
+        """Clock offset to take off; without a solution, steps are looked for at the last place."""
+        if point is not None:
+            clocks = point[P_CLOCK : P_CLOCK + 3]
+            self._clocks = np.where(np.isfinite(clocks), clocks, self._clocks)
+            first = int(np.flatnonzero(np.isfinite(clocks))[0])
+            bias = float(self._clocks[0] if first == 0 else clocks[first])
+            return self.clock.take(now, bias, float(point[P_RATE]))
+        if self.clock.offset is None or not self._place.any() or len(rows) == 0:
+            return self.clock.offset or 0.0
+        here, u = np.empty(3), np.empty(3)
+        geodetic(self._place[0], self._place[1], self._place[2], here)
+        seen = [row[S_RANGE] - expected_range(row, self._place, here, u) for row in rows]
+        return self.clock.take(now, float(np.median(seen)), math.nan)
+
+    def _choose(self, rows: F64, sky: F64) -> I64:
+        """Rows of the satellites to use: all, or the best set of the configured size."""
+        everyone = np.arange(len(rows))
+        count = self.config.best_of
+        if self.config.choice == "all" or len(rows) <= count:
+            return everyone
+        best = np.empty(count, np.int64)
+        systems = rows[:, S_SYSTEM].astype(np.int64)
+        found = best_set(_lines(sky), systems, len(rows), count, best)
+        return best if found < 1e3 else everyone
+
+    def _events(
+        self, t_ns: int, rows: F64, dop: F64, excluded: tuple[int, ...],
+        without: dict[str, list[int]],
+    ) -> tuple[Event, ...]:  # fmt: skip
+        events = []
+        sats = tuple(sorted(rows[:, S_SAT].astype(np.int64).tolist()))
+        if sats != self._set:
+            gained = [satellite_name(s) for s in sats if s not in self._set]
+            lost = [satellite_name(s) for s in self._set if s not in sats]
+            text = f"{len(sats)} satellites, GDOP {dop[0]:.1f}" + "".join(
+                f"; {word} {' '.join(names)}"
+                for word, names in (("new", gained), ("gone", lost))
+                if names
+            )
+            events.append(Event(t_ns, "satellite-set", text))
+            self._set = sats
+        blamed = dict.fromkeys(excluded, "its range contradicts the others")
+        for why, who in without.items():
+            if why != "missing":
+                blamed |= dict.fromkeys(who, f"ephemeris {why}")
+        for s, why in blamed.items():
+            if self._blamed.get(s) != why:
+                name = satellite_name(s)
+                events.append(Event(t_ns, "satellite-refused", f"{name}: {why}", "warning"))
+        self._blamed = blamed
+        return tuple(events)
+
+
+def _lines(sky: F64) -> F64:
+    """(M, 3) lines of sight, NED."""
+    azimuth, elevation = sky[:, 0], sky[:, 1]
+    flat = np.cos(elevation)
+    lines = (flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(elevation))
+    return np.ascontiguousarray(np.stack(lines, axis=1))
