@@ -78,7 +78,8 @@ class Receiver:
         self._set: tuple[int, ...] = ()
         self._blamed: dict[int, str] = {}
         self._systems = {NAMES.index(name) for name in config.systems}
-        self._gates = chi2.ppf(1.0 - FAULT_PROBABILITY, np.arange(1, MOST_DOF + 1))
+        limits = chi2.ppf(1.0 - FAULT_PROBABILITY, np.arange(1, MOST_DOF + 1))
+        self._gates: F64 = np.asarray(limits, np.float64)
         noise = np.empty(NOISE_SIZE)
         noise[V_RANGE_SD], noise[V_RATE_SD] = config.sd_range_m, config.sd_rate_mps
         noise[V_CN0], noise[V_IONO] = config.strong_cn0_dbhz, config.iono_residual
@@ -110,10 +111,9 @@ class Receiver:
         code, m = TOO_FEW, 0
         # From nowhere, the first solution only tells what is low and where the ionosphere is.
         for _ in range(2):
-            place = self._place
-            known = bool(place.any())
+            known = bool(self._place.any())
             m = correct(
-                table, which, week, tow, observed, place,
+                table, which, week, tow, observed, self._place,
                 self.ephemerides.ionosphere, self._noise, rows, sky,
             )  # fmt: skip
             code = solve(rows, m, self._place, self._gates, point, used)
