@@ -27,6 +27,7 @@ from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.error_state import ErrorStateFilter
 from companion.estimation.recording import Recording, Tape
+from companion.estimation.stretch import Stretch
 from companion.intake.aids import NEVER, Admitted, AidIntake
 from companion.intake.counters import Counters
 from companion.intake.inertial import CHUNK, CLOCK_BACK_NS, InertialIntake, in_order
@@ -70,6 +71,7 @@ class Engine:
         self.filter = ErrorStateFilter(config, record)
         self._record = record
         self._tapes: list[Tape] = []
+        self._stretches: list[Stretch] = []
         self._inertial = InertialIntake(config, self.counters)
         self._aiding = AidIntake(config, self.counters)
         self._outlet = Outlet()
@@ -142,6 +144,10 @@ class Engine:
         """
         return [*self._tapes, *self.filter.tapes()]
 
+    def stretches(self) -> list[Stretch]:
+        """The inputs that were kept, a stretch between two declared breaks each."""
+        return [*self._stretches, *self.filter.stretches]
+
     @property
     def digest(self) -> str:
         """Hash over the bits of the settled solution so far."""
@@ -182,6 +188,7 @@ class Engine:
         out = self._drain(final=True)
         resets = self.filter.resets
         self._tapes += self.filter.tapes()
+        self._stretches += self.filter.stretches
         self.filter = ErrorStateFilter(self.config, self._record)
         self.filter.phases[0].resets = resets + 1
         self._imu.clear()

@@ -15,7 +15,8 @@ import numpy as np
 
 from companion.config import Config
 from companion.engine import CLOCK_BACK_NS, Engine
-from companion.estimation.recording import Tape
+from companion.estimation.recording import Recording, Tape
+from companion.estimation.stretch import Stretch
 from companion.types import (
     I64,
     NS,
@@ -42,6 +43,8 @@ class RecordedRun:
     config: Config
     """As run: with the rate of the smoothed output."""
     tapes: list[Tape]
+    stretches: list[Stretch]
+    """The inputs, where they were kept."""
     solution: Solution
     """The settled forward solution."""
     reports: AidingReports
@@ -65,11 +68,13 @@ def record(
     rate_hz: float | None = None,
     covariance: bool = True,
     tape: bool = True,
+    inputs: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> RecordedRun:
     """Run ``vehicle`` forward; rows, and so the smoothed epochs, come at ``rate_hz``.
 
-    Without ``rate_hz`` at the configured output rate. ``tape`` off: the forward run alone.
+    Without ``rate_hz`` at the configured output rate. ``tape`` and ``inputs`` both off: the
+    forward run alone. ``inputs`` are what the two-filter smoothers go back over.
     """
     if rate_hz is not None:
         engine_config = msgspec.structs.replace(config.engine, output_rate_hz=rate_hz)
@@ -78,7 +83,7 @@ def record(
     ring_ns = round(config.engine.delay_ring_s * NS)
     aids = [_in_time(a, imu, config, ring_ns) for a in choose_aids(vehicle, config)]
     sessions = _sessions(imu)
-    engine = Engine(config, ("covariance" if covariance else "states") if tape else "no")
+    engine = Engine(config, _recording(covariance, tape, inputs))
     settled: list[Solution] = []
     reports: list[AidingReports] = []
     events: list[Event] = []
@@ -96,11 +101,18 @@ def record(
     return RecordedRun(
         config=config,
         tapes=engine.tapes(),
+        stretches=engine.stretches(),
         solution=Solution.concatenate([s for s in settled if len(s)]),
         reports=AidingReports.concatenate([r for r in reports if len(r)]),
         events=tuple(events),
         digest=engine.digest,
     )
+
+
+def _recording(covariance: bool, tape: bool, inputs: bool) -> Recording:
+    if inputs:
+        return "all" if tape else "inputs"
+    return ("covariance" if covariance else "states") if tape else "no"
 
 
 def _sessions(imu: ImuSamples) -> list[tuple[int, int]]:

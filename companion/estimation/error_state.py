@@ -16,8 +16,9 @@ from companion.estimation import bank, recovery, start
 from companion.estimation import parameters as par
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
-from companion.estimation.phases import Phase, Setup
+from companion.estimation.phases import Filter, Phase, Setup
 from companion.estimation.recording import Recording, Tape, nothing
+from companion.estimation.stretch import Stretch
 from companion.estimation.update import REPORT_SIZE
 from companion.navigation import layout as lo
 from companion.types import NS, Event, Mode
@@ -32,6 +33,8 @@ class ErrorStateFilter:
         self.rows = SampleBuffer(w.ROW_SIZE)
         self.reports = SampleBuffer(REPORT_SIZE)
         self.events: list[Event] = []
+        self.stretches: list[Stretch] = []
+        """Inputs between declared breaks, where they are kept."""
 
     # ------------------------------------------------------------------ time
 
@@ -135,6 +138,8 @@ class ErrorStateFilter:
         n_reports = 5 * m + min(constraints, 3 * (stop - i))
         n_steps = m + n_reports + span // int(ip[par.COVARIANCE_NS]) + 2
         best = phase.checks[-1].best
+        since = int(phase.filters[best].k[lo.T_NOW])
+        taken = i, j
         code, new_rows = w.DONE, 0
         for index, f in enumerate(phase.filters):
             rows = self.rows if index == best else SampleBuffer(w.ROW_SIZE, capacity=n_rows)
@@ -158,9 +163,31 @@ class ErrorStateFilter:
             new_rows = int(at[4]) - rows.end if index == best else new_rows
             rows.end, reports.end = int(at[4]), int(at[5])
             code = max(code, int(c))
+            if index == best:
+                taken = int(at[0]), int(at[2])
+        if setup.keeps_inputs:
+            self._keep(phase.filters[best], since, imu, (i, taken[0]), aids, (j, taken[1]), many)
         if many:
             bank.widen_heading(phase, self.rows.rows[self.rows.end - new_rows : self.rows.end])
         return code
+
+    def _keep(
+        self,
+        f: Filter,
+        since: int,
+        imu: SampleBuffer,
+        samples: tuple[int, int],
+        aids: SampleBuffer,
+        aid: tuple[int, int],
+        many: bool,
+    ) -> None:
+        """Keep what a walk from ``since`` on took; a filter of the bank may be the wrong one."""
+        resets = int(f.k[lo.RESETS])
+        if not self.stretches or self.stretches[-1].resets != resets:
+            self.stretches.append(Stretch(since, resets))
+        self.stretches[-1].took(imu, samples, aids, aid)
+        if not many:
+            self.stretches[-1].stands(f.s, f.k)
 
     # ------------------------------------------------------------------ phases
 

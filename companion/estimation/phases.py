@@ -99,6 +99,7 @@ class Setup:
         self.slots = ring_ns // int(self.ipar[par.SNAPSHOT_NS]) + 3
         self._record = record
         self.recorded = record != "no"
+        self.keeps_inputs = record in ("inputs", "all")
 
     def covariance(self, s: F64) -> F64:
         """P (n, n) inside a float state, as a view."""
@@ -108,6 +109,6 @@ class Setup:
     def new_filter(self, s: F64, k: I64) -> Filter:
         """A filter that begins at a state, with a tape of its own where the run is recorded."""
         tape = None
-        if self.recorded:
-            tape = Tape(self.layout.n, self._record == "covariance")
+        if self.recorded and self._record != "inputs":
+            tape = Tape(self.layout.n, self._record != "states")
         return Filter.start(s, k, self.slots, tape)

@@ -19,8 +19,9 @@ NOMINAL = w.O_COV
 """Columns of an output row that a smoother corrects: all before the covariance."""
 _KEPT = [*range(NOMINAL), w.O_MODE, w.O_RESETS]
 
-Recording = Literal["no", "states", "covariance"]
-"""Whether a filter leaves a tape, and whether with P at the output rows."""
+Recording = Literal["no", "states", "covariance", "inputs", "all"]
+"""What a filter leaves for a smoother: a tape, without P or with P at the output rows; the inputs
+alone; tape with P and inputs."""
 
 Column = TypeVar("Column", tp.I8, tp.F32, F64)
 

@@ -51,6 +51,7 @@ from companion.navigation.error_model import box_plus
 from companion.navigation.layout import (
     ACCEL_BIAS_B,
     DX,
+    EARTH_RATE,
     GNSS_GROUND_SPEED,
     GNSS_SPEED,
     GNSS_SPEED_SD,
@@ -197,7 +198,9 @@ def fuse_gnss(
         and s[GNSS_GROUND_SPEED] > par[COURSE_SPEED]
     ):
         quat_to_matrix(s, C)
-        azimuth = math.atan2(z[A_VELOCITY + 1], z[A_VELOCITY])
+        # Where time runs backwards the vehicle moves against where it points.
+        ahead = math.copysign(1.0, s[EARTH_RATE])
+        azimuth = math.atan2(ahead * z[A_VELOCITY + 1], ahead * z[A_VELOCITY])
         if direction(lay, C, 1.0, 0.0, 0.0, azimuth, H, y):
             R[0] = par[COURSE_VAR] + z[A_VAR_VELOCITY] / (
                 s[GNSS_GROUND_SPEED] * s[GNSS_GROUND_SPEED]

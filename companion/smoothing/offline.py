@@ -10,17 +10,15 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
 from companion.config import Config
 from companion.estimation import parameters as par
-from companion.estimation import walk as w
 from companion.estimation.recording import Chunk, Tape
 from companion.estimation.tape import STEP
 from companion.navigation import layout as lo
-from companion.navigation.error_model import box_plus
 from companion.smoothing import bryson_frazier, rts
-from companion.types import F64, I64, CompanionError, Solution
+from companion.smoothing.correction import correct, from_rows, published_blocks
+from companion.types import F64, CompanionError, Solution
 
 Method = Literal["bryson-frazier", "rts"]
 
@@ -94,9 +92,7 @@ class _Smoother:
             rows, cov = np.empty((len(chunk.t_ns), n)), np.empty((len(chunk.t_ns), n, n))
             if not rts.backward(*columns, before, foreseen, gains, dx, Ps, rows, cov):
                 raise SmoothingError("a covariance on the tape is not positive definite")
-            i, j = np.triu_indices(3)
-            published = np.stack([cov[:, 3 * b + i, 3 * b + j] for b in range(5)], axis=1)
-            parts.append(self._corrected(chunk, rows, published))
+            parts.append(self._corrected(chunk, rows, published_blocks(cov)))
             after = chunk
         return parts[::-1]
 
@@ -104,38 +100,4 @@ class _Smoother:
         """Forward solution ⊞ smoothed error at the rows of a chunk."""
         out = chunk.nominal.copy()
         correct(out, dx, self.lay)
-        return Solution(
-            t_ns=chunk.t_ns,
-            lat=out[:, w.O_LAT],
-            lon=out[:, w.O_LAT + 1],
-            height=out[:, w.O_LAT + 2],
-            vel_n=out[:, w.O_VEL : w.O_VEL + 3],
-            q_nb=out[:, w.O_Q : w.O_Q + 4],
-            accel_bias_b=out[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3],
-            gyro_bias_b=out[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3],
-            cov=cov,
-            mode=chunk.mode,
-            resets=chunk.resets,
-        )
-
-
-@njit("void(f8[:, ::1], f8[:, ::1], i8[::1])", cache=True)
-def correct(rows: F64, dx: F64, lay: I64) -> None:
-    """``rows`` (N, ≥ 16), by the ``O_`` columns of walk.py, ← rows ⊞ ``dx`` (N, n), in place."""
-    s = np.zeros(lo.DX)
-    for i in range(rows.shape[0]):
-        for j in range(3):
-            s[lo.LAT + j] = rows[i, w.O_LAT + j]
-            s[lo.VEL_N + j] = rows[i, w.O_VEL + j]
-            s[lo.ACCEL_BIAS_B + j] = rows[i, w.O_ACCEL_BIAS + j]
-            s[lo.GYRO_BIAS_B + j] = rows[i, w.O_GYRO_BIAS + j]
-        for j in range(4):
-            s[lo.Q + j] = rows[i, w.O_Q + j]
-        box_plus(s, lay, dx[i])
-        for j in range(3):
-            rows[i, w.O_LAT + j] = s[lo.LAT + j]
-            rows[i, w.O_VEL + j] = s[lo.VEL_N + j]
-            rows[i, w.O_ACCEL_BIAS + j] = s[lo.ACCEL_BIAS_B + j]
-            rows[i, w.O_GYRO_BIAS + j] = s[lo.GYRO_BIAS_B + j]
-        for j in range(4):
-            rows[i, w.O_Q + j] = s[lo.Q + j]
+        return from_rows(out, chunk.t_ns, cov, chunk.mode, chunk.resets)

@@ -1,0 +1,101 @@
+"""A solution in the rows of the walk, and those rows moved by an error: solution ⊞ δx."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from companion.estimation import walk as w
+from companion.estimation.tape import F32
+from companion.navigation import layout as lo
+from companion.navigation.earth import ned_difference
+from companion.navigation.error_model import box_plus
+from companion.navigation.rotation import attitude_error_n
+from companion.types import F64, I64, Solution
+
+NOMINAL = w.O_COV
+"""Columns of an output row that a smoother corrects: all before the covariance."""
+
+
+@njit("void(f8[:, ::1], f8[:, ::1], i8[::1])", cache=True)
+def correct(rows: F64, dx: F64, lay: I64) -> None:
+    """``rows`` (N, ≥ 16), by the ``O_`` columns of walk.py, ← rows ⊞ ``dx`` (N, n), in place."""
+    s = np.zeros(lo.DX)
+    for i in range(rows.shape[0]):
+        for j in range(3):
+            s[lo.LAT + j] = rows[i, w.O_LAT + j]
+            s[lo.VEL_N + j] = rows[i, w.O_VEL + j]
+            s[lo.ACCEL_BIAS_B + j] = rows[i, w.O_ACCEL_BIAS + j]
+            s[lo.GYRO_BIAS_B + j] = rows[i, w.O_GYRO_BIAS + j]
+        for j in range(4):
+            s[lo.Q + j] = rows[i, w.O_Q + j]
+        box_plus(s, lay, dx[i])
+        for j in range(3):
+            rows[i, w.O_LAT + j] = s[lo.LAT + j]
+            rows[i, w.O_VEL + j] = s[lo.VEL_N + j]
+            rows[i, w.O_ACCEL_BIAS + j] = s[lo.ACCEL_BIAS_B + j]
+            rows[i, w.O_GYRO_BIAS + j] = s[lo.GYRO_BIAS_B + j]
+        for j in range(4):
+            rows[i, w.O_Q + j] = s[lo.Q + j]
+
+
+def from_rows(rows: F64, t_ns: I64, cov: F64, mode: I64, resets: I64) -> Solution:
+    """Rows (N, ≥ NOMINAL) as a solution, with columns that are views of them."""
+    return Solution(
+        t_ns=t_ns,
+        lat=rows[:, w.O_LAT],
+        lon=rows[:, w.O_LAT + 1],
+        height=rows[:, w.O_LAT + 2],
+        vel_n=rows[:, w.O_VEL : w.O_VEL + 3],
+        q_nb=rows[:, w.O_Q : w.O_Q + 4],
+        accel_bias_b=rows[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3],
+        gyro_bias_b=rows[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3],
+        cov=cov,
+        mode=mode,
+        resets=resets,
+    )
+
+
+def to_rows(solution: Solution) -> F64:
+    """Rows (N, NOMINAL) of a solution: a copy."""
+    s = solution
+    return np.column_stack([s.lat, s.lon, s.height, s.vel_n, s.q_nb, s.accel_bias_b, s.gyro_bias_b])
+
+
+def state_rows(nominal: F64) -> F64:
+    """Rows (N, NOMINAL) of filter states (N, ≥ GYRO_BIAS_B + 3): a copy."""
+    order = [
+        *range(lo.LAT, lo.LAT + 3),
+        *range(lo.VEL_N, lo.VEL_N + 3),
+        *range(lo.Q, lo.Q + 4),
+        *range(lo.ACCEL_BIAS_B, lo.GYRO_BIAS_B + 3),
+    ]
+    return np.ascontiguousarray(nominal[:, order])
+
+
+def apart(rows: F64, origin: F64) -> F64:
+    """(N, CORE_STATES) error that leads from ``origin`` to ``rows``, both (N, NOMINAL): ⊟."""
+    dx = np.empty((len(rows), lo.CORE_STATES))
+    place, place0 = rows[:, w.O_LAT : w.O_LAT + 3], origin[:, w.O_LAT : w.O_LAT + 3]
+    dx[:, lo.POS : lo.POS + 3] = ned_difference(*place.T, *place0.T)
+    dx[:, lo.ATT : lo.ATT + 3] = attitude_error_n(
+        rows[:, w.O_Q : w.O_Q + 4], origin[:, w.O_Q : w.O_Q + 4]
+    )
+    for at, column, size in ((lo.VEL, w.O_VEL, 3), (lo.ACCEL_BIAS, w.O_ACCEL_BIAS, 6)):
+        part = slice(column, column + size)
+        dx[:, at : at + size] = rows[:, part] - origin[:, part]
+    return dx
+
+
+def published_blocks(cov: F64) -> F64:
+    """(N, 5, 6) as :attr:`companion.types.Solution.cov`, of whole covariances (N, n, n)."""
+    i, j = np.triu_indices(3)
+    return np.stack([cov[:, 3 * b + i, 3 * b + j] for b in range(5)], axis=1)
+
+
+def square(triangle: F32, n: int) -> F64:
+    """Covariances (N, n, n) from their upper triangles (N, n (n + 1) / 2)."""
+    P = np.empty((len(triangle), n, n))
+    i, j = np.triu_indices(n)
+    P[:, i, j] = P[:, j, i] = triangle
+    return P
