@@ -52,8 +52,13 @@ class RecordedRun:
     digest: str
 
     @property
+    def history_bytes(self) -> int:
+        """Memory of all that was kept: tapes, and inputs with their marks."""
+        return self.tape_bytes + sum(stretch.bytes for stretch in self.stretches)
+
+    @property
     def tape_bytes(self) -> int:
-        """Memory of the smoother's history."""
+        """Memory of the tapes."""
         return sum(
             sum(x.nbytes for x in (c.s, c.kinds, c.coarse, c.fine, c.nominal, c.t_ns))
             for tape in self.tapes

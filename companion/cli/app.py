@@ -230,8 +230,12 @@ def smooth(
         Path, typer.Argument(metavar="RUN", help="A run log, or any log that replay reads.")
     ],
     method: Annotated[
-        Literal["bryson-frazier", "rts"],
-        typer.Option(help="bryson-frazier inverts nothing; rts is the reference beside it."),
+        Literal["bryson-frazier", "rts", "two-filter", "two-filter-weighted"],
+        typer.Option(
+            help="bryson-frazier: optimal, inverts nothing; rts: the reference beside it; "
+            "two-filter: the log run backwards, too, and faded over inside each outage (Kamil et "
+            "al. 2014); two-filter-weighted: the same two runs weighted by their covariances."
+        ),
     ] = "bryson-frazier",
     rate: Annotated[
         float, typer.Option(min=0.1, max=1000.0, metavar="HZ", help="Smoothed epochs per second.")

@@ -18,7 +18,7 @@ from companion.types import AidingReports, Solution, VehicleRecording
 from replay.window import Window, read_windows
 
 if TYPE_CHECKING:
-    from companion.smoothing.offline import Method
+    from replay.smoothing import Method
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,20 +44,21 @@ def smooth_vehicle(
 ) -> Smoothed:
     """Run forward with a tape, and smooth."""
     with present.notice_if_slow(console, LOADING):
-        from companion.smoothing.offline import smooth
-        from replay.recorded import record
+        from replay.smoothing import record_for, smoothed
     begin = time.process_time()
     with present.progress(console, f"Vehicle {vehicle.name}, forward") as update:
-        run = record(vehicle, config, rate_hz=rate_hz, covariance=covariance, progress=update)
+        run = record_for(
+            method, vehicle, config, rate_hz=rate_hz, covariance=covariance, progress=update
+        )
     middle = time.process_time()
     with present.notice_if_slow(console, "Smoothing …"):
-        solution = smooth(run.tapes, run.config, method)
+        solution = smoothed(run, method)
     return Smoothed(
         solution=solution,
         forward_cpu_s=middle - begin,
         smoothing_cpu_s=time.process_time() - middle,
-        history_bytes=run.tape_bytes,
-        stretches=len(run.tapes),
+        history_bytes=run.history_bytes,
+        stretches=max(len(run.tapes), len(run.stretches)),
         digest=run.digest,
     )
 
