@@ -14,6 +14,7 @@ from typing import Any, get_args
 
 import msgspec
 
+from companion.config.adaptation import Adaptation, check_adaptation
 from companion.config.estimator import (
     Alignment,
     Baro,
@@ -45,6 +46,7 @@ from companion.types import ConfigError
 __all__ = [
     "DEG",
     "G0",
+    "Adaptation",
     "Alignment",
     "Baro",
     "CanBus",
@@ -83,6 +85,7 @@ class Config(Section):
     constraints: Constraints = Constraints()
     alignment: Alignment = Alignment()
     engine: EngineConfig = EngineConfig()
+    adaptation: Adaptation = Adaptation()
     can: tuple[CanBus, ...] = ()
     mavlink: Mavlink = Mavlink()
     zenoh: Zenoh = Zenoh()
@@ -195,6 +198,7 @@ def _check(config: Config) -> None:
         raise ConfigError("key 'engine.gate_probability': between 0.5 and 1, such as 0.9999")
     if not 4 <= config.alignment.hypotheses <= 72:
         raise ConfigError("key 'alignment.hypotheses': between 4 and 72")
+    check_adaptation(config.adaptation)
     check_raw_gnss(config.raw_gnss)
     check_live(config)
 

@@ -42,6 +42,7 @@ from companion.navigation.layout import (
     LAST_GYRO,
     MAX_STATES,
     POS,
+    Q_SCALE,
     SUM_T,
     SUM_XA,
     VEL,
@@ -136,9 +137,10 @@ def _decay_and_noise(s: F64, lay: I64, par: F64) -> None:
     n = lay[L_N]
     P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
     T = s[SUM_T]
+    accel, gyro = par[ACCEL_BIAS_PSD] * s[Q_SCALE], par[GYRO_BIAS_PSD] * s[Q_SCALE]
     for start, tau, psd, psd_down, nominal in (
-        (ACCEL_BIAS, par[ACCEL_BIAS_TAU], par[ACCEL_BIAS_PSD], par[ACCEL_BIAS_PSD], ACCEL_BIAS_B),
-        (GYRO_BIAS, par[GYRO_BIAS_TAU], par[GYRO_BIAS_PSD], par[GYRO_BIAS_PSD], GYRO_BIAS_B),
+        (ACCEL_BIAS, par[ACCEL_BIAS_TAU], accel, accel, ACCEL_BIAS_B),
+        (GYRO_BIAS, par[GYRO_BIAS_TAU], gyro, gyro, GYRO_BIAS_B),
         (lay[L_GNSS], par[GNSS_TAU], par[GNSS_PSD], par[GNSS_PSD_DOWN], GNSS_BIAS),
     ):
         if start < 0:

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from companion.config import DEG, Config
+from companion.estimation.adaptation.parameters import SIZE as ADAPTATION_SIZE
+from companion.estimation.adaptation.parameters import adaptation_vector, method_code
 from companion.navigation.layout import Layout
 from companion.types import F64, I64, NS
 
@@ -42,8 +44,9 @@ from companion.types import F64, I64, NS
     LATENCY_VAR,  # of a fix's time of validity [s²]
     GYRO_VIBRATION_GAIN,  # gyro noise density per vibration of its axis, squared [1/Hz]
     DIVERGED_VAR,  # horizontal position variance beyond use [m²]
-    SIZE,
+    ADAPTATION_AT,  # from here on: adaptation/parameters.py
 ) = range(30)
+SIZE = ADAPTATION_AT + ADAPTATION_SIZE
 
 # --- integer parameters
 (
@@ -60,8 +63,9 @@ from companion.types import F64, I64, NS
     COASTING_NS,
     BASE_MODE,  # Mode to report while aided
     RELOCK_NS,
+    ADAPTATION,  # code of the method, see adaptation/layout.py
     INT_SIZE,
-) = range(14)
+) = range(15)
 
 
 def parameter_vector(config: Config) -> F64:
@@ -95,6 +99,7 @@ def parameter_vector(config: Config) -> F64:
     p[DIVERGED_VAR] = config.engine.diverged_position_sd_m**2
     p[VIBRATION_GAIN] = imu.vibration_gain_rthz**2
     p[GYRO_VIBRATION_GAIN] = imu.gyro_vibration_gain_rthz**2
+    p[ADAPTATION_AT:] = adaptation_vector(config.adaptation)
     return p
 
 
@@ -113,6 +118,7 @@ def integer_vector(config: Config) -> I64:
     k[GAP_NS] = round(engine.imu_gap_bridge_s * NS)
     k[RELOCK_NS] = round(engine.gate_relock_s * NS)
     k[COASTING_NS] = round(engine.coasting_after_s * NS)
+    k[ADAPTATION] = method_code(config.adaptation)
     return k
 
 

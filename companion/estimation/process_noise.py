@@ -1,5 +1,7 @@
 """Noise of an inertial unit over one covariance interval, from the sums of the interval.
 
+Adaptation scales all of it by one factor, which is a float32 too.
+
 Rounded to single precision: seven digits of a noise are plenty, and so a smoother's tape holds what
 the filter used, to the bit.
 """
@@ -17,6 +19,7 @@ from companion.estimation.parameters import (
 )
 from companion.navigation.layout import (
     GYRO_VIBRATION,
+    Q_SCALE,
     SUM_C,
     SUM_T,
     SUM_XA,
@@ -32,7 +35,7 @@ def velocity_noise(s: F64, par: F64) -> float:
 
     Vibration is rectified and aliased by every accelerometer, in proportion to its strength.
     """
-    psd = par[ACCEL_PSD] + par[VIBRATION_GAIN] * s[VIBRATION]
+    psd = (par[ACCEL_PSD] + par[VIBRATION_GAIN] * s[VIBRATION]) * s[Q_SCALE]
     return float(np.float32(psd * s[SUM_T] + s[SUM_XV]))
 
 
@@ -44,7 +47,7 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
     noise of its own: C_nb diag(q) C_nbᵀ T, with the mean of C_nb over the interval.
     """
     T = s[SUM_T]
-    even = par[GYRO_PSD] * T + s[SUM_XA]
+    even = par[GYRO_PSD] * T * s[Q_SCALE] + s[SUM_XA]
     at = 0
     for i in range(3):
         for j in range(i, 3):
@@ -52,6 +55,6 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
             if par[GYRO_VIBRATION_GAIN] > 0.0:
                 for k in range(3):
                     x += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
-                x *= par[GYRO_VIBRATION_GAIN] / T
+                x *= par[GYRO_VIBRATION_GAIN] * s[Q_SCALE] / T
             q[at] = np.float32(x + (even if i == j else 0.0))
             at += 1

@@ -73,11 +73,11 @@ class Tape:
         """The tape for a kernel, with room for so many more records."""
         at = k[lo.TAPE_AT : lo.TAPE_AT + 4]
         triangle = self.n * (self.n + 1) // 2 if self.covariance else 0
-        self._kinds = _grown(self._kinds, int(at[tp.KIND]) + steps + 2 * updates + rows)
+        self._kinds = _grown(self._kinds, int(at[tp.KIND]) + steps + 3 * updates + rows)
         self._coarse = _grown(
             self._coarse, int(at[tp.COARSE]) + tp.C_STEP * steps + triangle * rows
         )
-        numbers = tp.F_STEP_WITH_SCALE * steps + (tp.F_GAIN + 2 * self.n + tp.F_TURN) * updates
+        numbers = tp.F_STEP_WITH_SCALE * steps + (tp.F_GAIN + 2 * self.n + tp.F_TURN + tp.F_FADE) * updates
         self._fine = _grown(self._fine, int(at[tp.FINE]) + numbers)
         return self._kinds, self._coarse, self._fine, at
 

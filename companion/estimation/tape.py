@@ -7,9 +7,10 @@ so the tape reads in both directions.
 ==========  =========================================  ==================================
 kind        fine                                       coarse
 ==========  =========================================  ==================================
-STEP        T and the sums behind Φ of one covariance  velocity, latitude, height, noise
-            interval
+STEP        T and the sums behind Φ of one covariance  velocity, latitude, height, noise,
+            interval                                   factor on the biases' noise
 TURN        correction of φ (3)                        –
+FADE        α² that P was multiplied by                –
 ROW         –                                          upper triangle of P, where wanted
 UPDATE + m  1/√S, y, which m of H are not zero, P Hᵀ   –
             /√S (n), those of H (m)
@@ -31,6 +32,7 @@ from companion.navigation.layout import (
     L_ACCEL_SCALE,
     L_N,
     LAT,
+    Q_SCALE,
     SUM_T,
     VEL_N,
 )
@@ -41,15 +43,16 @@ F32 = NDArray[np.float32]
 I8 = NDArray[np.int8]
 Recorder = tuple[I8, F32, F64, I64]
 
-STEP, TURN, ROW, UPDATE = 0, 1, 2, 3
+STEP, TURN, ROW, FADE, UPDATE = 0, 1, 2, 3, 4
 
 # --- columns of a step in `coarse`
-C_VEL, C_LAT, C_HEIGHT, C_NOISE_V, C_NOISE_A, C_STEP = 0, 3, 4, 5, 6, 12
+C_VEL, C_LAT, C_HEIGHT, C_NOISE_V, C_NOISE_A, C_NOISE_B, C_STEP = 0, 3, 4, 5, 6, 12, 13
 # --- and in `fine`: T, ∫f (3), ∫∫f (3), ∫C (9), with scale states ∫C diag(f) (9), ∫C diag(ω) (9)
 F_STEP, F_STEP_WITH_SCALE = 16, 34
 # --- columns of an update in `fine`; H behind the gain
 F_R, F_Y, F_MASK, F_GAIN = 0, 1, 2, 3
 F_TURN = 3
+F_FADE = 1
 
 # --- entries of a position on the tape
 KIND, COARSE, FINE, WITH_COVARIANCE = 0, 1, 2, 3
@@ -79,6 +82,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     attitude_noise(s, par, q)
     for i in range(6):
         c[C_NOISE_A + i] = q[i]
+    c[C_NOISE_B] = s[Q_SCALE]
     size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     for i in range(size):
         fine[at[FINE] + i] = s[SUM_T + i]
@@ -130,6 +134,22 @@ def record_turn(tape: Recorder, dx: F64) -> None:
     for i in range(3):
         fine[at[FINE] + i] = dx[ATT + i]
     at[FINE] += F_TURN
+
+
+@njit(f"void({RECORDER}, f8)", cache=True)
+def record_fade(tape: Recorder, square: float) -> None:
+    """Put down that P was multiplied by ``square``.
+
+    It is a weighting of data, not noise: the smoothed error is the same on both sides, and its
+    covariance is P_s / ``square`` before (Sasiadek and Wang's P^α; λ and Λ grow by ``square``).
+    """
+    kinds, _, fine, at = tape
+    if kinds.shape[0] == 0:
+        return
+    kinds[at[KIND]] = FADE
+    at[KIND] += 1
+    fine[at[FINE]] = square
+    at[FINE] += F_FADE
 
 
 @njit(f"void({RECORDER}, f8[::1], i8[::1])", cache=True)

@@ -14,7 +14,8 @@ import math
 import numpy as np
 from numba import njit
 
-from companion.estimation.adaptation import scale_of
+from companion.estimation.adaptation.adapt import adapt, adapts
+from companion.estimation.adaptation.layout import TRACE_SIZE, TRACED
 from companion.estimation.parameters import BANK, FEEDFORWARD, GATE
 from companion.estimation.tape import RECORDER, Recorder, record_turn, record_update
 from companion.navigation.error_model import box_plus
@@ -34,7 +35,8 @@ from companion.types import F64, I64
 R_CHANNEL, R_SOURCE, R_DOF = 0, 1, 2
 R_INNOVATION, R_SD = 3, 6
 R_NIS, R_GATE, R_SCALE_USED, R_VERDICT = 9, 10, 11, 12
-REPORT_SIZE = 13
+R_TRACE = 13  # what the adaptation made of it, see adaptation/layout.py
+REPORT_SIZE = R_TRACE + TRACE_SIZE
 
 VELOCITY_H, ZERO_VELOCITY, ZERO_RATE = 2, 7, 8  # as types.Channel
 ACCEPTED, REJECTED_GATE, REFUSED_INVALID = 0.0, 1.0, 4.0
@@ -123,7 +125,7 @@ def fuse(
     PHt, dx = W[:3], W[3]
     S = np.zeros((3, 3))
     L = np.zeros((4, 3))
-    scale = scale_of(s, channel)
+    foreseen = np.zeros(3)
     for i in range(m):
         for j in range(n):
             PHt[i, j] = 0.0
@@ -141,9 +143,19 @@ def fuse(
                 x += H[j, k] * PHt[i, k]
             S[i, j] = x
             S[j, i] = x
-        S[i, i] += R[i] * scale
+        foreseen[i] = S[i, i]
+        S[i, i] += R[i]
     nis = normalised_square(S, y, m, L)
     gate = par[GATE + m - 1]
+    scale = 1.0
+    report[R_TRACE + TRACED] = 0.0
+    if nis >= 0.0 and adapts(ipar, channel):
+        trace = report[R_TRACE : R_TRACE + TRACE_SIZE]
+        scale = adapt(s, par, ipar, channel, m, y, L[3], foreseen, R, nis, gate, trace)
+        if scale != 1.0:
+            for i in range(m):
+                S[i, i] = foreseen[i] + R[i] * scale
+            nis = normalised_square(S, y, m, L)
     report[R_CHANNEL], report[R_SOURCE], report[R_DOF] = channel, source, m
     for i in range(3):
         report[R_INNOVATION + i] = y[i] if i < m else np.nan

@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
+from companion.estimation.adaptation.adapt import after_fix
 from companion.estimation.covariance import STRIDE, propagate
 from companion.estimation.parameters import (
     BANK,
@@ -208,6 +209,7 @@ def fuse_gnss(
             fuse(s, lay, par, ipar, _COURSE, source, H, y, R, 1, W, reports[count], tape)
             reports_t[count] = t
             count += 1
+    after_fix(s, lay, ipar, tape)
     return count
 
 

@@ -1,7 +1,7 @@
 """Where everything lies: the filter's state as one flat float64 vector beside one int64 vector.
 
 One vector holds all that a moment of the filter is: nominal state, the sums of the running
-covariance interval, the standstill detector, the adaptive scales, and P. Copying it is a snapshot,
+covariance interval, the standstill detector, the adaptation, and P. Copying it is a snapshot,
 restoring it is going back in time, storing it is a checkpoint for a smoother. Kernels index it with
 the offsets below; the error state is indexed with :data:`POS` … :data:`GYRO_BIAS` and, for optional
 states, with the :class:`Layout` of a configuration.
@@ -62,11 +62,16 @@ GYRO_VIBRATION = VIBRATION + 1  # (3) variance of rate, axis by axis, likewise [
 VELOCITY_FIT = VIBRATION + 4  # NIS per component of horizontal velocity, running mean
 BANK_NIS = VIBRATION + 5  # sum of capped NIS over what the bank competes on
 BANK_DOF = VIBRATION + 6  # and of its components
-# --- adaptive scale on R, one a channel
-R_SCALE = VIBRATION + 7
+# --- adaptation: what is in force, and what it is drawn from (see estimation/adaptation)
+R_SCALE = VIBRATION + 7  # factor on R, one a channel
 CHANNELS = 10
+Q_SCALE = R_SCALE + CHANNELS  # factor on the noise of the inertial unit
+ALPHA = Q_SCALE + 1  # exponential weight of the running epoch of aiding
+WINDOWS = ALPHA + 1  # per adapted channel: innovations in a window, and what methods keep
+ADAPTED = 6  # channels whose sensors are judged: the first ones; constraints are not sensors
+WINDOW_SIZE = 8 + 3 * 32
 # --- covariance, last because its size varies
-P = R_SCALE + CHANNELS
+P = WINDOWS + ADAPTED * WINDOW_SIZE
 
 # --- integer state, offsets into k
 T_NOW = 0  # time of the nominal state

@@ -11,6 +11,7 @@ start of a chunk only: inside it the smoothed error moves forward by its own rec
 
 so the history grows with the rate of the covariance, not with states², and not with the IMU's rate.
 Feedback changes nothing but the turn G of the attitude error at a reset: λ ← Gᵀ λ, δx ← G δx.
+Where P was multiplied by α² (FLAC), λ and Λ are too, going back, and δx stays.
 """
 
 from __future__ import annotations
@@ -21,12 +22,14 @@ from numba import njit
 from companion.estimation.tape import (
     C_STEP,
     F32,
+    F_FADE,
     F_GAIN,
     F_R,
     F_STEP,
     F_STEP_WITH_SCALE,
     F_TURN,
     F_Y,
+    FADE,
     I8,
     STEP,
     TURN,
@@ -131,6 +134,10 @@ def backward(
         elif kind == TURN:
             f -= F_TURN
             turn_transposed(lam, fine[f : f + F_TURN], ATT, 1)
+        elif kind == FADE:
+            f -= F_FADE
+            for j in range(n):
+                x[j] *= fine[f]
         else:
             c -= triangle
 
@@ -190,6 +197,8 @@ def forward(
         elif kind == TURN:
             turn(x, fine[f : f + F_TURN], ATT)
             f += F_TURN
+        elif kind == FADE:
+            f += F_FADE
         else:
             for j in range(n):
                 rows[row, j] = x[j]
@@ -301,6 +310,11 @@ def backward_covariance(
             for j in range(n):
                 for k in range(n):
                     Lam[j, k] = X[k, j]
+        elif kind == FADE:
+            f -= F_FADE
+            for j in range(n):
+                for k in range(n):
+                    Lam[j, k] *= fine[f]
         else:
             row -= 1
             c -= triangle

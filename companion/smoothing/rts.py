@@ -3,7 +3,8 @@
     C = P Φᵀ (P⁻)⁻¹ ,  δx = C δx⁻ ,  P_s = P + C (P_s⁻ − P⁻) Cᵀ        over a step
     δx⁻ = δx + K y                                                      over an update
 
-around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). P and P⁻ are had again by
+around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). Where P was multiplied by α²
+(FLAC), the gain over the step is α² P Φᵀ (P⁻)⁻¹: δx passes, and P_s is that much smaller before. P and P⁻ are had again by
 walking a chunk of the tape forward from its P.
 """
 
@@ -18,12 +19,14 @@ from companion.estimation.covariance import apply_transition
 from companion.estimation.tape import (
     C_STEP,
     F32,
+    F_FADE,
     F_GAIN,
     F_R,
     F_STEP,
     F_STEP_WITH_SCALE,
     F_TURN,
     F_Y,
+    FADE,
     I8,
     STEP,
     TURN,
@@ -153,6 +156,11 @@ def covariances(
                 dx[ATT + j] = fine[f + j]
             reset_covariance(P, dx, n)
             f += F_TURN
+        elif kind == FADE:
+            for j in range(n):
+                for k in range(n):
+                    P[j, k] *= fine[f]
+            f += F_FADE
         else:
             c += triangle
 
@@ -273,6 +281,11 @@ def backward(
         elif kind == TURN:
             f -= F_TURN
             _turn_back(dx, Ps, fine[f : f + F_TURN], n)
+        elif kind == FADE:
+            f -= F_FADE
+            for j in range(n):
+                for k in range(n):
+                    Ps[j, k] /= fine[f]
         else:
             row -= 1
             c -= triangle

@@ -21,7 +21,7 @@ from companion.estimation.parameters import (
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
 )
-from companion.estimation.tape import C_NOISE_A, C_NOISE_V, F32
+from companion.estimation.tape import C_NOISE_A, C_NOISE_B, C_NOISE_V, F32
 from companion.navigation.layout import (
     ACCEL_BIAS,
     ATT,
@@ -135,9 +135,10 @@ def decay_factors(T: float, lay: I64, par: F64, d: F64) -> None:
 def noise_diagonal(c: F32, T: float, lay: I64, par: F64, d: F64, q: F64) -> None:
     """``q`` (n,): diagonal of Q but for attitude, from a step's numbers, its length and D."""
     q[:] = 0.0
+    accel, gyro = par[ACCEL_BIAS_PSD] * c[C_NOISE_B], par[GYRO_BIAS_PSD] * c[C_NOISE_B]
     for start, tau, psd, psd_down in (
-        (ACCEL_BIAS, par[ACCEL_BIAS_TAU], par[ACCEL_BIAS_PSD], par[ACCEL_BIAS_PSD]),
-        (GYRO_BIAS, par[GYRO_BIAS_TAU], par[GYRO_BIAS_PSD], par[GYRO_BIAS_PSD]),
+        (ACCEL_BIAS, par[ACCEL_BIAS_TAU], accel, accel),
+        (GYRO_BIAS, par[GYRO_BIAS_TAU], gyro, gyro),
         (lay[L_GNSS], par[GNSS_TAU], par[GNSS_PSD], par[GNSS_PSD_DOWN]),
     ):
         if start >= 0:

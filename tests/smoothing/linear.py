@@ -57,12 +57,18 @@ def _parameters() -> F64:
 
 
 def linear_run(seed: int, steps: int = 30) -> LinearRun:
-    """A seeded run with every optional state, about two updates a step, turns and rows."""
+    """A seeded run with every optional state, about two updates a step, turns, fades and rows.
+
+    A fade P ← α² P is a weight on the data: the same as all later R and Q divided by the product of
+    all α² so far, and the covariance in hand times it.
+    """
     rng = np.random.default_rng(seed)
     layout = lo.Layout.build(scale=True, lever=True, baro=True, gnss=True)
     n, lay, p = layout.n, layout.vector(), _parameters()
     s = np.zeros(layout.size)
     s[0], s[lo.EARTH_RATE] = 1.0, RATE
+    faded = 1.0
+    fade_at: list[float] = []
     s[lo.LAT], s[lo.HEIGHT] = np.float32(0.8), 300.0
     sd = np.array(
         [3.0] * 3 + [1.0] * 3 + [0.05] * 3 + [0.1] * 3 + [0.01] * 3 + [0.01] * 6 + [0.5] * 3
@@ -96,6 +102,7 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
     for step in range(steps):
         s[lo.SUM_T] = 2.0 ** -rng.integers(2, 6)
         T = s[lo.SUM_T]
+        s[lo.Q_SCALE] = 2.0 ** rng.integers(0, 4)
         s[lo.VEL_N : lo.VEL_N + 3] = rng.normal(0, 20, 3).astype(np.float32)
         s[lo.SUM_V : lo.SUM_V + 33] = (T * rng.normal(0, 1, 33)).astype(np.float32)
         s[lo.SUM_V : lo.SUM_V + 3] *= 8.0
@@ -108,7 +115,7 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
         F = d[:, None] * F
         before = P.copy()
         assert propagate(s, lay, p, B, W)
-        extend(F, P - F @ before @ F.T)
+        extend(F, (P - F @ before @ F.T) / faded)
         x = F @ x
         for _ in range(rng.integers(0, 4)):
             H = np.zeros(n)
@@ -120,7 +127,7 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
             tp.record_update(tape, H, gain, 1 / np.sqrt(S), y, n)
             x = x + gain * y / np.sqrt(S)
             P -= np.outer(gain, gain)
-            seen.append((now, H, R, z))
+            seen.append((now, H, R / faded, z))
         if step % 3 == 1:
             turn = np.zeros(n)
             turn[6:9] = rng.normal(0, 0.1, 3)
@@ -131,7 +138,13 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
             reset_covariance(P, turn, n)
             extend(G, np.zeros((n, n)))
             x = G @ x
+        if step % 4 == 1:
+            square = float(rng.uniform(1.0, 1.3))
+            tp.record_fade(tape, square)
+            P *= square
+            faded *= square
         tp.record_row(tape, s, lay)
+        fade_at.append(faded)
         row_at.append(now)
         rows.append(x.copy())
     A = np.zeros((len(seen), len(mean)))
@@ -146,5 +159,5 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
     return LinearRun(
         lay, p, run_s0, kinds[: at[0]], coarse[: at[1]], fine[: at[2]], n * (n + 1) // 2, P0,
         np.array(rows), np.array([posterior[i] for i in picks]),
-        np.array([cov[i, i] for i in picks]), steps,
+        np.array([f * cov[i, i] for f, i in zip(fade_at, picks, strict=True)]), steps,
     )  # fmt: skip

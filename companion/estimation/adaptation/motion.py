@@ -1,0 +1,36 @@
+"""How far the inertial unit is strained: what speaks for the model, not for a sensor.
+
+A manoeuvre or vibration adds velocity and attitude error in proportion to itself (scale factor,
+misalignment, timing; rectification and aliasing). The share that it may have in the whole noise,
+r / (1 + r) with r the ratio of the two variances, is a number without a unit or a threshold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from companion.estimation.parameters import ACCEL_PSD, GYRO_PSD
+from companion.navigation.layout import STILL_RING, STILL_SUB, VIBRATION
+from companion.types import F64
+
+SCALE_VAR = 0.005**2
+"""Of a scale factor or an angle of mounting that is not modelled: half a per cent, a usual MEMS."""
+VIBRATION_VAR = 0.05**2
+"""Noise density per vibration, squared [1/Hz]: as the default of imu.vibration_gain_rthz."""
+
+
+@njit("f8(f8[::1], f8[::1])", cache=True)
+def strain(s: F64, par: F64) -> float:
+    """Share of the inertial unit's error that motion may have, 0 to 1, over the last second."""
+    spread = np.zeros(2)
+    for i in range(6):
+        low = high = s[STILL_RING + i]
+        for b in range(1, STILL_SUB):
+            mean = s[STILL_RING + 12 * b + i]
+            low, high = min(low, mean), max(high, mean)
+        spread[i // 3] += (high - low) * (high - low)
+    # Over a second: an error that lasts gives its square, noise of density d² gives d².
+    r = SCALE_VAR * (spread[0] / par[GYRO_PSD] + spread[1] / par[ACCEL_PSD])
+    r += VIBRATION_VAR * s[VIBRATION] / par[ACCEL_PSD]
+    return r / (1.0 + r)
