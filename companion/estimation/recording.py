@@ -77,7 +77,10 @@ class Tape:
         self._coarse = _grown(
             self._coarse, int(at[tp.COARSE]) + tp.C_STEP * steps + triangle * rows
         )
-        numbers = tp.F_STEP_WITH_SCALE * steps + (tp.F_GAIN + 2 * self.n + tp.F_TURN + tp.F_FADE) * updates
+        numbers = (
+            tp.F_STEP_WITH_SCALE * steps
+            + (tp.F_GAIN + 2 * self.n + tp.F_TURN + tp.F_FADE) * updates
+        )
         self._fine = _grown(self._fine, int(at[tp.FINE]) + numbers)
         return self._kinds, self._coarse, self._fine, at
 
