@@ -3,9 +3,9 @@
     C = P Φᵀ (P⁻)⁻¹ ,  δx = C δx⁻ ,  P_s = P + C (P_s⁻ − P⁻) Cᵀ        over a step
     δx⁻ = δx + K y                                                      over an update
 
-around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). Where P was multiplied by α²
-(FLAC), the gain over the step is α² P Φᵀ (P⁻)⁻¹: δx passes, and P_s is that much smaller before. P and P⁻ are had again by
-walking a chunk of the tape forward from its P.
+around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). P and P⁻ are had again by
+walking a chunk of the tape forward from its P. Where P was multiplied by α² (FLAC), the gain over
+the step is α² P Φᵀ (P⁻)⁻¹: δx passes the weighting, and P_s is that much smaller before.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def variational_scale(s: F64, a: F64, channel: int, m: int, y: F64, foreseen: F6
             rate += 0.5 * (y[i] * y[i] * after * after + foreseen[i] * after) / R[i]
         factor = bounded(rate / shape)
     w[SHAPE], w[RATE] = shape, factor * shape
-    return factor
+    return float(factor)
 
 
 @njit("f8(f8[::1], i8, f8)", cache=True)

@@ -50,7 +50,7 @@ def flac_scale(s: F64, a: F64, channel: int, m: int, u: F64, trace: F64) -> floa
         for i in range(9):
             w[FADE] += weights[i] * (a[ALPHA_TABLE + i] - 1.0)
         trace[IN_MEAN], trace[IN_SPREAD] = mean, spread
-    return 1.0 / (s[ALPHA] * s[ALPHA])
+    return float(1.0 / (s[ALPHA] * s[ALPHA]))
 
 
 @njit("f8(f8[::1], f8[:, ::1], i8)", cache=True)
@@ -74,4 +74,4 @@ def fade(s: F64, P: F64, n: int) -> float:
             total += s[w + FADE]
             heard += 1.0
     s[ALPHA] = 1.0 + total / max(heard, 1.0)
-    return square
+    return float(square)

@@ -119,7 +119,7 @@ def fuzzy_scale(
     """
     w = s[WINDOWS + channel * WINDOW_SIZE : WINDOWS + (channel + 1) * WINDOW_SIZE]
     length = int(a[LENGTH])
-    now = s[R_SCALE + channel]
+    now = float(s[R_SCALE + channel])
     r = foreseen / said
     # Winsorised at the gate in force: what is refused still counts, but for no more than what just
     # passes, so neither lock-out nor poisoning can come of it.

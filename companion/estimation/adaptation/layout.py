@@ -1,4 +1,4 @@
-"""Where the adaptation keeps things: a channel's window inside the filter's state, a trace's row."""
+"""Where the adaptation keeps things: a window inside the filter's state, a row of its trace."""
 
 from __future__ import annotations
 

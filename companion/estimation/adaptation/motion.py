@@ -33,4 +33,4 @@ def strain(s: F64, par: F64) -> float:
     # Over a second: an error that lasts gives its square, noise of density d² gives d².
     r = SCALE_VAR * (spread[0] / par[GYRO_PSD] + spread[1] / par[ACCEL_PSD])
     r += VIBRATION_VAR * s[VIBRATION] / par[ACCEL_PSD]
-    return r / (1.0 + r)
+    return float(r / (1.0 + r))
