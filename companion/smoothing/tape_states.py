@@ -9,12 +9,14 @@ from companion.estimation.recording import Chunk
 from companion.estimation.tape import (
     C_STEP,
     F32,
+    F_FADE,
     F_GAIN,
     F_R,
     F_STEP,
     F_STEP_WITH_SCALE,
     F_TURN,
     F_Y,
+    FADE,
     I8,
     STEP,
     TURN,
@@ -60,6 +62,8 @@ def _read(
             f += F_GAIN + n + kind - UPDATE
         elif kind == TURN:
             f += F_TURN
+        elif kind == FADE:
+            f += F_FADE
         else:
             for j in range(n):
                 rows[row, j] = x[j]
