@@ -162,7 +162,7 @@ class RawGnssSamples(Samples):
     """Raw measurements of a satellite receiver, an epoch a row; K is the most satellites of any.
 
     Satellites are numbered as in :mod:`companion.gnss`: 100 · (system + 1) + PRN with GPS 0,
-    Galileo 1, BeiDou 2; one signal each: L1 C/A, E1, B1I.
+    Galileo 1, BeiDou 2; one signal each: L1 C/A, E1, B1I or B3I.
     """
 
     week: I64
@@ -171,6 +171,8 @@ class RawGnssSamples(Samples):
     """(N,) second of that week, as above: what the pseudoranges refer to."""
     sat: I64
     """(N, K) satellites; 0 where a row has fewer."""
+    signal: I64
+    """(N, K) 0: L1 C/A, E1 or B1I; 1: B3I."""
     pseudorange: F64
     """(N, K) [m] as measured; NaN without."""
     rate: F64

@@ -16,8 +16,8 @@ from numba import njit
 
 from companion.gnss.atmosphere import klobuchar, troposphere
 from companion.gnss.geometry import geodetic, ned_axes
-from companion.gnss.orbit import E_SAT, OMEGA_E_GPS, satellite_at
-from companion.gnss.systems import BEIDOU, CARRIER_HZ, L1_HZ, C
+from companion.gnss.orbit import E_GROUP_DELAY, E_SAT, OMEGA_E_GPS, satellite_at
+from companion.gnss.systems import B3_HZ, B3I, BEIDOU, CARRIER_HZ, L1_HZ, C
 from companion.types import F64, I64
 
 # --- columns of a corrected satellite; also a row of the filter's aid table
@@ -34,7 +34,8 @@ V_RANGE_SD, V_RATE_SD, V_CN0, V_MASK, V_IONO = range(5)
 """1σ at the zenith at V_CN0 [m, m/s]; the C/N0 from which noise grows [dB-Hz]; elevation mask
 [rad]; part of the modelled ionospheric delay that counts as 1σ of what is left."""
 NOISE_SIZE = 5
-_OTHER_CARRIER = (L1_HZ / CARRIER_HZ[BEIDOU]) ** 2
+_ON_B1 = (L1_HZ / CARRIER_HZ[BEIDOU]) ** 2
+_ON_B3 = (L1_HZ / B3_HZ) ** 2
 _HORIZON = math.radians(1.0)
 _LOST_CN0 = 5.0
 
@@ -76,9 +77,10 @@ def correct(
 ) -> int:
     """Fill ``rows`` (M, :data:`ROW_SIZE`) and ``sky`` (M, 2) from one epoch's observations.
 
-    ``observed`` (M, 5): pseudorange [m], its rate [m/s], C/N0 [dB-Hz], reported 1σ of both (NaN:
-    none); ``which`` (M,): row of ``ephemerides`` or −1; ``x`` (3,): about where the receiver is,
-    zeros where nobody knows: nothing then depends on elevation. ``sky``: azimuth, elevation [rad].
+    ``observed`` (M, 6): pseudorange [m], its rate [m/s], C/N0 [dB-Hz], reported 1σ of both (NaN:
+    none), signal; ``which`` (M,): row of ``ephemerides`` or −1; ``x`` (3,): about where the
+    receiver is, zeros where nobody knows: nothing then depends on elevation. ``sky``: azimuth and
+    elevation [rad].
     Satellites below the mask or without ephemeris are left out; returns how many rows there are.
     """
     known = x[0] != 0.0 or x[1] != 0.0
@@ -114,8 +116,10 @@ def correct(
         sat = int(e[E_SAT])
         system = sat // 100 - 1
         if system == BEIDOU:
-            delay *= _OTHER_CARRIER
+            delay *= _ON_B3 if observed[m, 5] == B3I else _ON_B1
         row[S_RANGE] = observed[m, 0] + at[6] - delay
+        if observed[m, 5] == B3I:
+            row[S_RANGE] += C * e[E_GROUP_DELAY]
         row[S_RATE] = observed[m, 1] + at[7]
         # Noise of a correlator grows as the signal weakens; what is low has more multipath too.
         weak = 10.0 ** (max(noise[V_CN0] - max(observed[m, 2], _LOST_CN0), 0.0) / 10.0)

@@ -101,9 +101,8 @@ class Receiver:
             np.int64,
         )
         table, which, without = self.ephemerides.table(sat, week, tow)
-        observed = np.stack(
-            [x[i] for x in (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate)], axis=1
-        )
+        columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate, raw.signal)
+        observed = np.stack([x[i] for x in columns], axis=1)
         observed[~np.isfinite(observed[:, 2]), 2] = self._noise[V_CN0]
         which[~np.isfinite(observed[:, 0])] = -1
         rows, sky = np.empty((len(sat), ROW_SIZE)), np.empty((len(sat), 2))

@@ -14,6 +14,10 @@ MOST_PRN = (32, 36, 63)
 L1_HZ = 1_575.42e6
 CARRIER_HZ = (L1_HZ, L1_HZ, 1_561.098e6)
 """Carrier of the signal used of each system: L1 C/A, E1, B1I."""
+B3_HZ = 1_268.52e6
+PRIMARY, B3I = 0, 1
+"""Signals of an observation: that of :data:`CARRIER_HZ`, or BeiDou's B3I, which its broadcast
+clocks refer to, so that it has no group delay."""
 BDT_BEHIND_GPST_S = 14.0
 """BeiDou time is GPS time of 2006-01-01: 14 s behind for ever."""
 BDS_WEEK_0 = 1356

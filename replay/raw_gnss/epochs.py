@@ -27,6 +27,7 @@ class Observation:
     cn0: float = float("nan")
     sd_range: float = float("nan")
     sd_rate: float = float("nan")
+    signal: int = 0
 
 
 @dataclass(slots=True)
@@ -52,10 +53,11 @@ def raw_samples(source: str, epochs: Sequence[Epoch]) -> RawGnssSamples:
     """Epochs as columns; ``t_ns`` and ``t_rx_ns`` are nanoseconds of GPS time."""
     width = max((len(e.satellites) for e in epochs), default=0)
     sat = np.zeros((len(epochs), width), np.int64)
+    signal = np.zeros_like(sat)
     columns = np.full((5, len(epochs), width), np.nan)
     for i, epoch in enumerate(epochs):
         for j, o in enumerate(epoch.satellites):
-            sat[i, j] = o.sat
+            sat[i, j], signal[i, j] = o.sat, o.signal
             columns[:, i, j] = o.pseudorange, o.rate, o.cn0, o.sd_range, o.sd_rate
     t = np.array([gps_ns(e.week, e.tow) for e in epochs], np.int64)
     return RawGnssSamples(
@@ -66,6 +68,7 @@ def raw_samples(source: str, epochs: Sequence[Epoch]) -> RawGnssSamples:
         np.array([e.week for e in epochs], np.int64),
         np.array([e.tow for e in epochs], np.float64),
         sat,
+        signal,
         *columns,
     )
 

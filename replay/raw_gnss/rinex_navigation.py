@@ -7,6 +7,7 @@ E1 and E5b, whose group delay the single-frequency user of E1 takes off.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -165,7 +166,7 @@ def read_navigation(path: Path) -> tuple[BroadcastSamples, list[str]]:
     starts = [
         i for i in range(end + 1, len(lines)) if lines[i].strip() and not lines[i].startswith("   ")
     ]
-    for i, j in zip(starts, [*starts[1:], len(lines)], strict=True):
+    for i, j in pairwise([*starts, len(lines)]):
         try:
             sat, row = _record([line for line in lines[i:j] if line.strip()], version)
         except (ValueError, IndexError):

@@ -260,5 +260,6 @@ def _columns(
     none = np.full((n, len(names)), np.nan)
     return RawGnssSamples(
         "constellation", t_ns, t_ns, np.arange(n, dtype=np.int64), np.full(n, week, np.int64),
-        seconds, sat, out[0], out[1], np.where(sat > 0, 45.0, np.nan), none, none,
+        seconds, sat, np.zeros_like(sat), out[0], out[1], np.where(sat > 0, 45.0, np.nan),
+        none, none,
     )  # fmt: skip
