@@ -206,6 +206,24 @@ def errors_against(
     return Errors(t, position, velocity, _wrap(attitude))
 
 
+def as_solution(reference: ReferenceSamples) -> Solution:
+    """Somebody else's solution in our columns, standard deviations and biases unknown (NaN)."""
+    n = len(reference)
+    return Solution(
+        t_ns=reference.t_ns,
+        lat=reference.lat,
+        lon=reference.lon,
+        height=reference.height,
+        vel_n=reference.vel_n,
+        q_nb=_quaternions(reference.rpy),
+        accel_bias_b=np.full((n, 3), np.nan),
+        gyro_bias_b=np.full((n, 3), np.nan),
+        cov=np.full((n, 5, 6), np.nan),
+        mode=np.full(n, int(Mode.NAVIGATING), np.int64),
+        resets=np.zeros(n, np.int64),
+    )
+
+
 def position_nees(error_n: F64, cov: F64) -> F64:
     """Normalised error squared eᵀ P⁻¹ e (N,); NaN where P is not positive definite.
 

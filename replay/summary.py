@@ -22,7 +22,7 @@ from companion.types import (
 
 _MOVING_MPS = 0.3
 """Slower is taken for standing: the noise of a parked vehicle must not add up to kilometres."""
-_UNIX_NS = 946_684_800 * NS
+EARLIEST_DATE_NS = 946_684_800 * NS
 """2000-01-01: recordings stamped earlier carry a clock that does not know the date."""
 
 
@@ -127,7 +127,7 @@ def _flight(vehicle: VehicleRecording, solution: Solution) -> Flight:
         duration_s=float(dt_s.sum()),
         start_utc=(
             datetime.fromtimestamp(first / NS, UTC).isoformat(timespec="seconds")
-            if first > _UNIX_NS
+            if first > EARLIEST_DATE_NS
             else None
         ),
         distance_m=float(np.sum(0.5 * (moving[1:] + moving[:-1]) * dt_s)),

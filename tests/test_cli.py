@@ -17,6 +17,7 @@ from companion.cli import main
 
 COMMANDS = (
     "replay",
+    "report",
     "evaluate",
     "export",
     "simulate",

@@ -218,7 +218,7 @@ def evaluate(
     """
     console = _console(as_json)
     windows = _windows([window] if window is not None else [], "--window")
-    from companion.cli.commands import evaluate_run
+    from companion.cli.results import evaluate_run
 
     span = windows[0] if windows else None
     _emit_if(as_json, evaluate_run(console, run, truth, span, config, vehicle, solution))
@@ -279,10 +279,28 @@ def export(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
     file_format: Annotated[
-        Literal["csv"],
-        typer.Option("--format", help="csv: t_ns, degrees, metres, m/s, standard deviations."),
+        Literal["csv", "kml", "gpx", "geojson"],
+        typer.Option(
+            "--format",
+            help="csv: t_ns, degrees, metres, m/s, standard deviations. kml: with times, outages "
+            "in another colour. gpx, geojson: the track in stretches.",
+        ),
     ] = "csv",
-    solution: SolutionName = "forward",
+    solution: Annotated[
+        Literal["forward", "smoothed", "autopilot"],
+        typer.Option(
+            help="As published at the time, smoothed (made now where the log has none), or the "
+            "autopilot's own."
+        ),
+    ] = "forward",
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01,
+            metavar="HZ",
+            help="At most this many epochs a second; without it all in csv, 5 in maps.",
+        ),
+    ] = None,
     config: ConfigPath = None,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
@@ -291,12 +309,43 @@ def export(
 
     Times are ns, angles degrees, heights metres over the ellipsoid (or the log's own datum).
 
-    Example: companion export flight.run.mcap --format csv -o flight.csv
+    Example: companion export flight.run.mcap --format kml --solution smoothed -o flight.kml
     """
     console = _console(as_json)
-    from companion.cli.commands import export_run
+    from companion.cli.results import export_run
 
-    _emit_if(as_json, export_run(console, run, output, file_format, config, vehicle, solution))
+    result = export_run(console, run, output, file_format, config, vehicle, solution, rate)
+    _emit_if(as_json, result)
+
+
+@app.command(no_args_is_help=True)
+def report(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A run log, or any log: it is replayed first.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE.html",
+            help="Without it ./<log>.report.html.",
+        ),
+    ] = None,
+    config: ConfigPath = None,
+    vehicle: VehicleName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """One page about a run: verdict, track, states with ±σ, errors, innovations, sensors, events.
+
+    It opens without a network. Lengths m, speeds m/s, angles degrees, times s.
+
+    Example: companion report flight.run.mcap -o flight.html
+    """
+    console = _console(as_json)
+    from companion.cli.results import report_run
+
+    _emit_if(as_json, report_run(console, run, output, config, vehicle))
 
 
 @app.command(no_args_is_help=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,15 +15,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from companion import present
-from companion.config import CanBus, Config, load
+from companion.config import CanBus, load
 from companion.types import (
-    AidingReports,
     CompanionError,
     Recording,
-    Solution,
-    VehicleRecording,
 )
-from replay.window import Window, read_windows
+from replay.window import Window
 
 if TYPE_CHECKING:
     from companion.outputs.publisher import Publisher
@@ -107,64 +103,6 @@ def _against_live(console: Console, path: Path, result: SessionResult) -> dict[s
     return plain(found)
 
 
-def evaluate_run(
-    console: Console,
-    run: Path,
-    truth: Path | None,
-    window: Window | None,
-    config_path: Path | None,
-    vehicle_name: str | None,
-    solution: SolutionKind = "forward",
-) -> dict[str, Any]:
-    """Errors of one vehicle's solution; a log without a solution is replayed first."""
-    solved = _solve(console, run, config_path, vehicle_name, solution)
-    from replay.assessment import assess
-    from replay.sensor_folder import read_reference
-
-    vehicle = solved.vehicle
-    if truth is not None:
-        vehicle = replace(vehicle, truth=read_reference(truth), autopilot=None)
-    result = assess(
-        vehicle,
-        solved.config,
-        solved.solution,
-        solved.reports,
-        withheld=solved.withheld,
-        window=window,
-        digest=solved.digest,
-        digest_published=solved.digest_published,
-        solution_kind=solution,
-    )
-    accuracy = result.to_json()
-    present.show_accuracy(console, accuracy)
-    return accuracy
-
-
-def export_run(
-    console: Console,
-    run: Path,
-    output: Path,
-    file_format: str,
-    config_path: Path | None,
-    vehicle_name: str | None,
-    solution: SolutionKind = "forward",
-) -> dict[str, Any]:
-    """Write one vehicle's solution; a log without one is replayed first."""
-    solved = _solve(console, run, config_path, vehicle_name, solution)
-    from replay.export import export_csv
-
-    export_csv(solved.solution, output)
-    console.print(f"Wrote {len(solved.solution)} epochs to {escape(str(output))}")
-    return {
-        "out": str(output),
-        "format": file_format,
-        "solution": solution,
-        "vehicle": solved.vehicle.name,
-        "epochs": len(solved.solution),
-        "height_datum": solved.vehicle.height_datum,
-    }
-
-
 @contextmanager
 def publication(
     console: Console, chosen: ChosenConfig, vehicle: str, wanted: bool
@@ -186,81 +124,7 @@ def publication(
         yield publisher
 
 
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """A vehicle with its solution, from a run log or from replaying just now."""
-
-    vehicle: VehicleRecording
-    config: Config
-    solution: Solution
-    reports: AidingReports
-    digest: str | None
-    digest_published: str | None
-    withheld: tuple[Window, ...] = ()
-    smoothed: Solution | None = None
-
-
-def _solve(
-    console: Console,
-    run: Path,
-    config_path: Path | None,
-    vehicle_name: str | None,
-    solution: SolutionKind,
-) -> _Solved:
-    """The solution that a run log holds, else that of a replay; no log is written."""
-    solved = _solve_forward(console, run, config_path, vehicle_name)
-    if solution == "forward":
-        return solved
-    if solved.smoothed is not None:
-        return replace(solved, solution=solved.smoothed)
-    from companion.cli.smooth import smooth_vehicle
-
-    made = smooth_vehicle(console, solved.vehicle, solved.config, "bryson-frazier", None, True)
-    return replace(solved, solution=made.solution)
-
-
-def _solve_forward(
-    console: Console, run: Path, config_path: Path | None, vehicle_name: str | None
-) -> _Solved:
-    if run.suffix == ".mcap" and config_path is None:
-        from replay.configuration import choose_config
-        from replay.run_log import read_solution
-
-        stored = read_solution(run, vehicle_name)
-        if len(stored.solution):
-            recording = _recording(console, [run], vehicle_name)
-            vehicle = next(v for v in recording.vehicles if v.name == stored.vehicle)
-            return _Solved(
-                vehicle,
-                choose_config(recording).config,
-                stored.solution,
-                stored.reports,
-                stored.digest,
-                stored.digest_published,
-                read_windows(stored.metadata.get("outages", "")),
-                stored.smoothed,
-            )
-    from replay.preparation import navigable
-
-    recording, chosen = read(console, [run], config_path, vehicle_name)
-    fit, _ = navigable(recording, vehicle_name)
-    with present.notice_if_slow(console, LOADING):
-        from replay import session
-    if len(fit) > 1:
-        console.print(f"Vehicle {escape(fit[0].name)}, the first of several; --vehicle NAME")
-    with present.progress(console, f"Vehicle {fit[0].name}") as update:
-        result = session.run_session(fit[0], chosen, progress=update)
-    return _Solved(
-        result.vehicle,
-        chosen.config,
-        result.solution,
-        result.reports,
-        result.digest,
-        result.digest_published,
-    )
-
-
-def _recording(
+def read_recording(
     console: Console, logs: Sequence[Path], vehicle_name: str | None, can: Sequence[CanBus] = ()
 ) -> Recording:
     if all(path.exists() for path in logs):
@@ -281,7 +145,7 @@ def read(
 
     # The units of a CAN recording may be known from the configuration only.
     can = load(config_path).can if config_path is not None else ()
-    recording = _recording(console, logs, vehicle_name, can)
+    recording = read_recording(console, logs, vehicle_name, can)
     return recording, choose_config(recording, config_path)
 
 

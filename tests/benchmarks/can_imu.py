@@ -14,12 +14,12 @@ import numpy as np
 
 from companion.config import Config, load
 from companion.types import VehicleRecording
+from replay.evaluation import as_solution
 from replay.reader import read_log
 from replay.window import Window
 from tests.benchmarks.common import (
     NS,
     ROOT,
-    as_solution,
     errors_against,
     horizontal_at,
     need_data,

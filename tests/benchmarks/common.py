@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import Config
-from companion.types import I64, NS, ReferenceSamples, Solution, VehicleRecording
+from companion.types import I64, NS, VehicleRecording
 from replay.configuration import ChosenConfig
 from replay.evaluation import Errors, errors_against
 from replay.preparation import start_ns
@@ -71,27 +71,6 @@ def rmse(errors: Errors, used: Mask) -> Rmse:
     )
 
 
-def as_solution(reference: ReferenceSamples) -> Solution:
-    """Somebody else's solution in our columns, so that both are measured by the same code."""
-    n = len(reference)
-    half = 0.5 * reference.rpy
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    q_nb = np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        axis=1,
-    )
-    none, count = np.full((n, 3), np.nan), np.zeros(n, np.int64)
-    return Solution(
-        reference.t_ns, reference.lat, reference.lon, reference.height, reference.vel_n, q_nb,
-        none, none, np.full((n, 5, 6), np.nan), count, count,
-    )  # fmt: skip
-
-
 def horizontal_at(errors: Errors, t_ns: int) -> float:
     """Horizontal error [m] of the last epoch before ``t_ns``; NaN before the first."""
     at = int(np.searchsorted(errors.t_ns, t_ns, side="left")) - 1
@@ -117,6 +96,6 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 __all__ = [
-    "DATA", "NS", "ROOT", "Errors", "Mask", "Rmse", "as_solution", "errors_against",
+    "DATA", "NS", "ROOT", "Errors", "Mask", "Rmse", "errors_against",
     "horizontal_at", "need_data", "next_fix_ns", "rmse", "solve", "start_ns", "table",
 ]  # fmt: skip

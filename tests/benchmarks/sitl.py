@@ -19,6 +19,7 @@ import numpy as np
 
 from companion.config import Config, load
 from companion.types import VehicleRecording
+from replay.evaluation import as_solution
 from replay.reader import read_log
 from tests.benchmarks.common import (
     NS,
@@ -26,7 +27,6 @@ from tests.benchmarks.common import (
     Errors,
     Mask,
     Rmse,
-    as_solution,
     errors_against,
     horizontal_at,
     need_data,

@@ -1,0 +1,95 @@
+"""One vehicle with its solution: what a run log holds, else made by a replay just now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from companion import present
+from companion.cli.commands import LOADING, SolutionKind, read, read_recording
+from companion.config import Config
+from companion.types import AidingReports, Event, Solution, VehicleRecording
+from replay.window import Window, read_windows
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A vehicle with its solution, from a run log or from replaying just now."""
+
+    vehicle: VehicleRecording
+    config: Config
+    solution: Solution
+    reports: AidingReports
+    digest: str | None
+    digest_published: str | None
+    withheld: tuple[Window, ...] = ()
+    smoothed: Solution | None = None
+    events: tuple[Event, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def solve(
+    console: Console,
+    run: Path,
+    config_path: Path | None,
+    vehicle_name: str | None,
+    solution: SolutionKind,
+) -> Solved:
+    """The solution that a run log holds, else that of a replay; no log is written."""
+    solved = _solve_forward(console, run, config_path, vehicle_name)
+    if solution == "forward":
+        return solved
+    if solved.smoothed is not None:
+        return replace(solved, solution=solved.smoothed)
+    from companion.cli.smooth import smooth_vehicle
+
+    made = smooth_vehicle(console, solved.vehicle, solved.config, "bryson-frazier", None, True)
+    return replace(solved, solution=made.solution)
+
+
+def _solve_forward(
+    console: Console, run: Path, config_path: Path | None, vehicle_name: str | None
+) -> Solved:
+    if run.suffix == ".mcap" and config_path is None:
+        from replay.configuration import choose_config
+        from replay.run_log import read_solution
+
+        stored = read_solution(run, vehicle_name)
+        if len(stored.solution):
+            recording = read_recording(console, [run], vehicle_name)
+            vehicle = next(v for v in recording.vehicles if v.name == stored.vehicle)
+            return Solved(
+                vehicle,
+                choose_config(recording).config,
+                stored.solution,
+                stored.reports,
+                stored.digest,
+                stored.digest_published,
+                read_windows(stored.metadata.get("outages", "")),
+                stored.smoothed,
+                stored.events,
+                recording.notes,
+            )
+    from replay.preparation import navigable
+
+    recording, chosen = read(console, [run], config_path, vehicle_name)
+    fit, _ = navigable(recording, vehicle_name)
+    with present.notice_if_slow(console, LOADING):
+        from replay import session
+    if len(fit) > 1:
+        console.print(f"Vehicle {escape(fit[0].name)}, the first of several; --vehicle NAME")
+    with present.progress(console, f"Vehicle {fit[0].name}") as update:
+        result = session.run_session(fit[0], chosen, progress=update)
+    return Solved(
+        result.vehicle,
+        chosen.config,
+        result.solution,
+        result.reports,
+        result.digest,
+        result.digest_published,
+        events=result.events,
+        notes=recording.notes,
+    )

@@ -1,0 +1,235 @@
+"""Was the navigation good? A verdict in words, each line of evidence with what to do about it.
+
+The worst line decides. Limits are those of a vehicle that is flown by its position: they are
+constants here and stand on the page beside what was found, so that another judgement is possible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from companion.types import COV_POS, F64, NS, Channel, Mode, Solution, Verdict
+from replay.evaluation import errors_against
+from replay.report.panels import spoken
+from replay.report.run_view import RunView
+
+Level = Literal["good", "degraded", "bad"]
+_RANK: dict[Level, int] = {"good": 0, "degraded": 1, "bad": 2}
+
+SD_DEGRADED_M, SD_BAD_M = 5.0, 30.0
+"""Stated horizontal standard deviation: several times, and far beyond, what a receiver gives."""
+REJECTED_DEGRADED, REJECTED_BAD = 0.05, 0.3
+"""Share of a channel's measurements refused by the gate; an honest filter refuses far below 1 %."""
+NIS_HIGH = 2.0
+"""Normalised innovation squared per degree of freedom; 1 where the stated noise is right."""
+BEYOND_DEGRADED, BEYOND_BAD = 0.05, 0.25
+"""Share of epochs whose horizontal error exceeds three standard deviations; honest: 1.1 %."""
+SLOW_ERROR_M = 1.5
+"""What an ordinary receiver is off by for minutes: no filter sees it, and no error against truth
+of this size speaks against one. Receivers with an RTK fix do without."""
+UNAIDED_DEGRADED = 0.02
+"""Share of the time without position or velocity aiding."""
+MINIMUM_UPDATES = 30
+"""Fewer updates of a channel than this say nothing about it."""
+
+
+class Evidence(msgspec.Struct, frozen=True):
+    """One thing that was found."""
+
+    level: Level
+    text: str
+    action: str = ""
+
+
+class Judgement(msgspec.Struct, frozen=True):
+    """The verdict and what it rests on, worst first."""
+
+    level: Level
+    headline: str
+    evidence: tuple[Evidence, ...]
+
+
+def judge(run: RunView) -> Judgement:
+    """Weigh what the run shows about itself and, where there is a reference, against it."""
+    found = tuple(sorted(_evidence(run), key=lambda e: -_RANK[e.level]))
+    level = max((e.level for e in found), key=lambda x: _RANK[x])
+    worst = [e for e in found if e.level == level]
+    if level == "good":
+        headline = "Good: " + worst[0].text
+    else:
+        more = f" (and {len(worst) - 1} more)" if len(worst) > 1 else ""
+        headline = f"{level.capitalize()}: {worst[0].text}{more}"
+    return Judgement(level, headline, found)
+
+
+def _evidence(run: RunView) -> Iterator[Evidence]:
+    aligned = run.aligned()
+    if not len(aligned):
+        yield Evidence(
+            "bad",
+            "there is no solution: alignment never finished",
+            "Stand still for some seconds at the start, and see the sensors below.",
+        )
+        return
+    yield from _against_reference(run, aligned)
+    yield from _stated(aligned)
+    yield from _modes(run, aligned)
+    yield from _gates(run)
+    yield from _declared(run)
+    yield from _sensors(run)
+
+
+def _horizontal(solution: Solution) -> F64:
+    """Larger standard deviation of the horizontal position (N,) [m]."""
+    xx, xy, yy = solution.cov[:, COV_POS][:, [0, 1, 3]].T
+    root = np.sqrt(np.maximum(0.25 * (xx - yy) ** 2 + xy**2, 0.0))
+    sd: F64 = np.sqrt(0.5 * (xx + yy) + root)
+    return sd
+
+
+def _against_reference(run: RunView, aligned: Solution) -> Iterator[Evidence]:
+    if run.reference is None:
+        return
+    kind, reference = run.reference
+    errors = errors_against(aligned, reference)
+    horizontal = np.hypot(errors.position_n[:, 0], errors.position_n[:, 1])
+    known = np.isfinite(horizontal) & (aligned.mode >= Mode.NAVIGATING)
+    if not known.any():
+        return
+    sd = np.hypot(_horizontal(aligned), _slow_error(run))
+    rms, worst = float(np.sqrt(np.mean(horizontal[known] ** 2))), float(horizontal[known].max())
+    beyond = float(np.mean(horizontal[known] > 3.0 * sd[known]))
+    said = f"{rms:.2f} m RMS, {worst:.1f} m at worst"
+    if kind == "autopilot":
+        # Another filter's opinion, on much the same sensors: it shows disagreement, not error.
+        level: Level = "degraded" if worst > 3 * SD_DEGRADED_M else "good"
+        action = "One of the two is wrong there: look at the track and the innovations."
+        yield Evidence(
+            level, f"horizontally {said} from the autopilot's estimate", action * (level != "good")
+        )
+        return
+    level = "bad" if beyond > BEYOND_BAD else "degraded" if beyond > BEYOND_DEGRADED else "good"
+    text = f"horizontal error against truth {said}"
+    if level == "good":
+        alone = float(np.mean(horizontal[known] > 3.0 * _horizontal(aligned)[known]))
+        hint = "The receiver's slow error is not in the stated one: gnss.slow_error_sd_m."
+        yield Evidence("good", text, hint if alone > BEYOND_DEGRADED else "")
+        return
+    yield Evidence(
+        level,
+        f"{text}; {beyond:.0%} of the time beyond three stated standard deviations",
+        "The filter is surer than it should be: check sensor noise, latency and lever arm in the "
+        "configuration; companion tune suggests noise from the log.",
+    )
+
+
+def _slow_error(run: RunView) -> float:
+    """What the receiver may be off by for long [m]; 0 for one with RTK fixes."""
+    fixes = run.vehicle.gnss[0].fix_type if run.vehicle.gnss else np.zeros(0)
+    return 0.0 if len(fixes) and np.median(fixes) >= 5 else SLOW_ERROR_M
+
+
+def _stated(aligned: Solution) -> Iterator[Evidence]:
+    sd = _horizontal(aligned)
+    known = sd[np.isfinite(sd)]
+    if not len(known):
+        yield Evidence("bad", "the filter states no standard deviation of its position")
+        return
+    median, worst = float(np.median(known)), float(known.max())
+    level: Level = "bad" if worst > SD_BAD_M else "degraded" if worst > SD_DEGRADED_M else "good"
+    yield Evidence(
+        level,
+        f"stated horizontal standard deviation {median:.2f} m in the median, {worst:.1f} m at most",
+        "" if level == "good" else "See where it grows: an outage, or a receiver that is refused.",
+    )
+
+
+def _modes(run: RunView, aligned: Solution) -> Iterator[Evidence]:
+    final = Mode(int(aligned.mode[-1]))
+    if not np.any(aligned.mode >= Mode.NAVIGATING):
+        yield Evidence(
+            "bad",
+            "heading was never found",
+            "Move the vehicle with some acceleration, or give it a magnetometer.",
+        )
+    elif final is Mode.COASTING:
+        yield Evidence(
+            "degraded",
+            "at the end it was coasting, without aiding",
+            "See why the receiver was silent or refused at the end.",
+        )
+    outages = run.outages()
+    if outages:
+        seconds = [(o.end_ns - o.start_ns) / NS for o in outages]
+        share = sum(seconds) / max((aligned.t_ns[-1] - aligned.t_ns[0]) / NS, 1.0)
+        yield Evidence(
+            "degraded" if share > UNAIDED_DEGRADED else "good",
+            f"{len(outages)} time{'s' * (len(outages) > 1)} without GNSS, "
+            f"{sum(seconds):.0f} s together, the longest {max(seconds):.0f} s",
+            "Withheld on purpose." if run.withheld else "Antenna, jamming, or the log itself.",
+        )
+
+
+def _gates(run: RunView) -> Iterator[Evidence]:
+    reports = run.reports
+    for channel in Channel:
+        mine = reports.channel == channel
+        passed = mine & (reports.verdict == Verdict.ACCEPTED)
+        stopped = int(np.count_nonzero(mine & (reports.verdict == Verdict.REJECTED_GATE)))
+        total = int(np.count_nonzero(passed)) + stopped
+        if total < MINIMUM_UPDATES:
+            continue
+        name = spoken(channel)
+        share = stopped / total
+        if share > REJECTED_DEGRADED:
+            yield Evidence(
+                "bad" if share > REJECTED_BAD else "degraded",
+                f"{share:.0%} of {name} measurements were refused by the gate",
+                "Either the sensor is worse than it says or the solution was wrong: see the "
+                "innovations.",
+            )
+        dof = int(reports.dof[passed].sum())
+        nis = float(reports.nis[passed].sum()) / dof if dof else np.nan
+        if nis > NIS_HIGH:
+            yield Evidence(
+                "degraded",
+                f"innovations of {name} are {np.sqrt(nis):.1f} times what was expected",
+                f"Stated noise too small, or a wrong latency (NIS {nis:.1f}, honest: 1).",
+            )
+
+
+def _declared(run: RunView) -> Iterator[Evidence]:
+    resets = int(run.solution.resets[-1]) if len(run.solution) else 0
+    if resets:
+        yield Evidence(
+            "bad" if resets > 2 else "degraded",
+            f"the filter declared {resets} reset{'s' * (resets > 1)}",
+            "See the events: what did not fit, and when.",
+        )
+    for level, of in (("error", "bad"), ("warning", "degraded")):
+        mine = [e for e in run.events if e.level == level]
+        if mine:
+            first = mine[0]
+            yield Evidence(
+                "bad" if of == "bad" else "degraded",
+                f"{len(mine)} {level}{'s' * (len(mine) > 1)}, first {first.kind}: {first.text}",
+                "See the events.",
+            )
+
+
+def _sensors(run: RunView) -> Iterator[Evidence]:
+    for stream in run.vehicle.streams:
+        if stream.kind == "imu" and run.vehicle.imu and stream.source == run.vehicle.imu[0].source:
+            if stream.gaps:
+                yield Evidence(
+                    "degraded",
+                    f"the IMU {stream.source} had {stream.gaps} gaps, the longest "
+                    f"{stream.longest_gap_s:.2f} s",
+                    "Bus load, wiring, or a logger that cannot keep up.",
+                )
+            else:
+                yield Evidence("good", f"IMU without gaps at {stream.rate_hz:.0f} Hz")

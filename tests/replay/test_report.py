@@ -1,0 +1,213 @@
+"""The report: decimation that loses no extreme, a verdict that follows the evidence, one page."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.types import NS, AidingReports, Event, Solution, VehicleRecording
+from replay.configuration import ChosenConfig
+from replay.preparation import start_ns
+from replay.report.page import page
+from replay.report.panels import panels
+from replay.report.run_view import RunView
+from replay.report.series import Spans, pack, thin_track
+from replay.report.verdict import judge
+from replay.session import run_session
+from replay.simulator import Scenario, load_scenario, matching_config, simulate
+from replay.window import Window
+
+
+def unpack(text: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
+# ----------------------------------------------------------------- decimation
+
+
+@given(
+    st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=300),
+    st.integers(2, 40),
+)
+@settings(max_examples=100, deadline=None)
+def test_smallest_and_largest_value_of_a_series_survive(values: list[float], buckets: int) -> None:
+    column = np.array(values)
+    t_ns = np.arange(len(column), dtype=np.int64) * 10_000_000
+    spans = Spans(t_ns, 0, buckets)
+    drawn = spans.values(column)
+    known = drawn[np.isfinite(drawn)]
+    assert known.min() == column.min()
+    assert known.max() == column.max()
+    assert len(known) <= max(2 * buckets, 1)
+    assert np.all(np.diff(spans.times()) >= 0)
+    assert len(spans.times()) == len(drawn)
+
+
+def test_a_band_encloses_every_value_of_its_span() -> None:
+    rng = np.random.default_rng(3)
+    t_ns = np.arange(20_000, dtype=np.int64) * 5_000_000
+    low = rng.normal(size=20_000)
+    high = low + rng.uniform(0.1, 1.0, 20_000)
+    spans = Spans(t_ns, 0, 50)
+    bottom, top = spans.envelope(low, high)
+    at = np.searchsorted(spans.times(), t_ns / NS, side="right") - 1
+    assert np.all(bottom[at] <= low)
+    assert np.all(top[at] >= high)
+
+
+def test_a_line_breaks_at_a_gap_and_nowhere_else() -> None:
+    t = np.concatenate([np.arange(0, 50, 0.1), np.arange(80, 120, 0.1)])
+    for buckets in (40, 4000):
+        spans = Spans((t * NS).astype(np.int64), 0, buckets)
+        broken = np.flatnonzero(np.isnan(spans.values(np.ones(len(t)))))
+        assert len(broken) == 1
+        assert 50 < spans.times()[broken[0]] < 80
+
+
+def test_a_thinned_track_keeps_its_corners() -> None:
+    n = np.cumsum(np.random.default_rng(0).normal(size=50_000))
+    e = np.cumsum(np.random.default_rng(1).normal(size=50_000))
+    kept = thin_track(n, e, 1000)
+    assert len(kept) <= 1002
+    for column in (n, e):
+        assert column[kept].min() == column.min()
+        assert column[kept].max() == column.max()
+
+
+def test_packed_columns_come_back_as_float32() -> None:
+    assert list(unpack(pack([1.5, -2.25, float("nan")]))[:2]) == [1.5, -2.25]
+
+
+# ----------------------------------------------------------------- verdict and page
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    """Two minutes of a mission, sensors as their datasheet says."""
+    mission = load_scenario("multirotor-mission")
+    brief = msgspec.structs.replace(mission.trajectory, duration_s=120.0)
+    return msgspec.structs.replace(mission, trajectory=brief)
+
+
+@pytest.fixture(scope="module")
+def vehicle(scenario: Scenario) -> VehicleRecording:
+    return simulate(scenario, seed=5)
+
+
+@pytest.fixture(scope="module")
+def nominal(scenario: Scenario, vehicle: VehicleRecording) -> RunView:
+    return view(scenario, vehicle)
+
+
+def view(scenario: Scenario, vehicle: VehicleRecording, *windows: Window) -> RunView:
+    config = matching_config(scenario)
+    run = run_session(vehicle, ChosenConfig(config, "of the scenario", ""), outages=windows)
+    return RunView(
+        name="a <flight>.tlog",
+        vehicle=run.vehicle,
+        config=config,
+        solution=run.solution,
+        reports=run.reports,
+        events=run.events,
+        withheld=windows,
+        digest=run.digest,
+    )
+
+
+def test_a_nominal_flight_is_good(nominal: RunView) -> None:
+    judgement = judge(nominal)
+    assert judgement.level == "good", judgement
+    assert all(e.level == "good" for e in judgement.evidence)
+
+
+def test_an_outage_degrades_and_is_named(scenario: Scenario, vehicle: VehicleRecording) -> None:
+    run = view(scenario, vehicle, Window(60.0, 30.0))
+    judgement = judge(run)
+    assert judgement.level != "good"
+    (named,) = [e for e in judgement.evidence if "without GNSS" in e.text]
+    assert named.level == "degraded"
+    assert named.text.startswith("1 time without GNSS, 30 s")
+    shown = data_of(page(run, judgement))
+    ((begin, end),) = shown["outages"]
+    assert (begin, end) == pytest.approx((60.0, 90.0), abs=0.5)
+
+
+def test_a_glitching_receiver_is_refused_and_both_say_so(
+    scenario: Scenario, vehicle: VehicleRecording
+) -> None:
+    gnss = vehicle.gnss[0]
+    t = (gnss.t_ns - start_ns(vehicle)) / NS
+    lat = gnss.lat + np.where((t > 70) & (t % 4 < 1), 80.0 / 6.4e6, 0.0)
+    run = view(scenario, replace(vehicle, gnss=(replace(gnss, lat=lat),)))
+    judgement = judge(run)
+    assert judgement.level != "good"
+    assert any("GNSS position" in e.text and "refused" in e.text for e in judgement.evidence)
+    shown = data_of(page(run, judgement))
+    glitches = np.count_nonzero(lat != gnss.lat)
+    assert len(unpack(shown["track"]["refused"]["t"])) == pytest.approx(glitches, abs=2)
+    (chart,) = [
+        c
+        for p in shown["panels"]
+        if p["id"] == "innovations"
+        for c in p["charts"]
+        if c["title"] == "GNSS position, north"
+    ]
+    refused = [x for t in chart["tables"] for x in t["lines"] if x["of"] == "refused"]
+    assert np.nanmax(unpack(refused[0]["values"])) > 70.0
+
+
+def test_no_solution_is_bad_and_still_a_page(nominal: RunView) -> None:
+    none = replace(nominal, solution=Solution.empty(), reports=AidingReports.empty(), events=())
+    judgement = judge(none)
+    assert judgement.level == "bad"
+    shown = data_of(page(none, judgement))
+    assert shown["track"] is None
+    assert {p["id"] for p in shown["panels"]} <= {"height", "velocity", "attitude", "rates"}
+
+
+def test_an_error_that_was_not_stated_is_seen_against_truth(nominal: RunView) -> None:
+    lat = nominal.solution.lat.copy()
+    lat[len(lat) // 2 :] += 15.0 / 6.4e6
+    judgement = judge(replace(nominal, solution=replace(nominal.solution, lat=lat)))
+    assert judgement.level == "bad"
+    assert "beyond three stated" in judgement.headline
+
+
+def data_of(text: str) -> dict[str, Any]:
+    found = re.search(r"const RUN = (.*?);</script>", text, re.DOTALL)
+    assert found is not None
+    data: dict[str, Any] = json.loads(found[1])
+    return data
+
+
+def test_the_page_needs_nothing_else_and_escapes_what_it_is_given(nominal: RunView) -> None:
+    event = Event(nominal.origin_ns, "odd", "</script><b>&", "warning")
+    run = replace(nominal, events=(*nominal.events, event), notes=("<i>",))
+    text = page(run, judge(run))
+    assert "a &lt;flight&gt;.tlog" in text
+    assert "<b>&" not in text
+    assert "<i>" not in text.split("<script>")[0]
+    assert not re.search(r'(src|href)="(?!data:)', text)
+    assert len(text) < 5_000_000
+    assert data_of(text)["events"][-1]["text"] == "</script><b>&"
+
+
+def test_only_what_happened_has_a_panel(nominal: RunView) -> None:
+    def ids(run: RunView) -> set[str]:
+        return {panel.id for panel in panels(run)}
+
+    assert "adaptation" not in ids(nominal)
+    scaled = replace(nominal.reports, scale=np.full(len(nominal.reports), 2.0))
+    assert "adaptation" in ids(replace(nominal, reports=scaled))
+    without = replace(nominal.vehicle, truth=None, autopilot=None)
+    assert "errors" in ids(nominal)
+    assert "errors" not in ids(replace(nominal, vehicle=without))
