@@ -22,7 +22,7 @@ COMMANDS = (
     "export",
     "simulate",
     "smooth",
-    "smooth",
+    "reproduce",
     "bench",
     "check",
     "demo",
