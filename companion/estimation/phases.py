@@ -109,6 +109,6 @@ class Setup:
     def new_filter(self, s: F64, k: I64) -> Filter:
         """A filter that begins at a state, with a tape of its own where the run is recorded."""
         tape = None
-        if self.recorded and self._record != "inputs":
-            tape = Tape(self.layout.n, self._record != "states")
+        if self.recorded:
+            tape = Tape(self.layout.n, self._record != "states", self._record == "inputs")
         return Filter.start(s, k, self.slots, tape)

@@ -21,7 +21,7 @@ _KEPT = [*range(NOMINAL), w.O_MODE, w.O_RESETS]
 
 Recording = Literal["no", "states", "covariance", "inputs", "all"]
 """What a filter leaves for a smoother: a tape, without P or with P at the output rows; the inputs
-alone; tape with P and inputs."""
+beside rows with P; the inputs beside a whole tape with P."""
 
 Column = TypeVar("Column", tp.I8, tp.F32, F64)
 
@@ -55,6 +55,8 @@ class Tape:
     """States."""
     covariance: bool
     """Whether rows carry P."""
+    rows_only: bool = False
+    """Whether the rows are all there is: nothing to smooth back over, but estimates with P."""
     chunks: list[Chunk] = field(default_factory=list)
     _s: F64 = field(default_factory=lambda: np.zeros(0))
     _kinds: tp.I8 = field(default_factory=lambda: np.zeros(0, np.int8))
@@ -67,11 +69,13 @@ class Tape:
         """Start a chunk from the filter's state."""
         self._s = s.copy()
         k[lo.TAPE_AT : lo.TAPE_AT + 3] = 0
-        k[lo.TAPE_AT + tp.WITH_COVARIANCE] = self.covariance
+        k[lo.TAPE_AT + tp.WITH_COVARIANCE] = tp.ROWS_ONLY if self.rows_only else self.covariance
 
     def recorder(self, k: I64, steps: int, updates: int, rows: int) -> tp.Recorder:
         """The tape for a kernel, with room for so many more records."""
         at = k[lo.TAPE_AT : lo.TAPE_AT + 4]
+        if self.rows_only:
+            steps = updates = 0
         triangle = self.n * (self.n + 1) // 2 if self.covariance else 0
         self._kinds = _grown(self._kinds, int(at[tp.KIND]) + steps + 3 * updates + rows)
         self._coarse = _grown(

@@ -60,8 +60,10 @@ KIND, COARSE, FINE, WITH_COVARIANCE = 0, 1, 2, 3
 RECORDER = "Tuple((i1[::1], f4[::1], f8[::1], i8[::1]))"
 """Numba type of (kinds, coarse, fine, position), as the kernels take a tape. Empty: not recorded.
 
-``position`` (4,) is where the next record goes, and 1 where ROW keeps P.
+``position`` (4,) is where the next record goes, and what ROW keeps: 0 nothing, 1 P, 2 P where
+nothing but rows is recorded.
 """
+ROWS_ONLY = 2
 
 
 @njit(f"void({RECORDER}, f8[::1], i8[::1], f8[::1])", cache=True)
@@ -69,7 +71,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     """Put down the running covariance interval of ``s``, before it is closed."""
     kinds, coarse, fine, at = tape
     T = s[SUM_T]
-    if kinds.shape[0] == 0 or T <= 0.0:
+    if kinds.shape[0] == 0 or T <= 0.0 or at[WITH_COVARIANCE] == ROWS_ONLY:
         return
     kinds[at[KIND]] = STEP
     at[KIND] += 1
@@ -94,7 +96,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
 def record_update(tape: Recorder, H: F64, gain: F64, r: float, y: float, n: int) -> None:
     """Put down a scalar update: ``H`` (n,), ``gain`` = P Hᵀ r, ``r`` = 1/√S, innovation ``y``."""
     kinds, _, fine, at = tape
-    if kinds.shape[0] == 0:
+    if kinds.shape[0] == 0 or at[WITH_COVARIANCE] == ROWS_ONLY:
         return
     f = at[FINE]
     fine[f + F_R], fine[f + F_Y] = r, y
@@ -127,7 +129,7 @@ def read_h(update: F64, n: int, H: F64) -> None:
 def record_turn(tape: Recorder, dx: F64) -> None:
     """Put down the reset of the attitude error by the correction ``dx`` (n,)."""
     kinds, _, fine, at = tape
-    if kinds.shape[0] == 0:
+    if kinds.shape[0] == 0 or at[WITH_COVARIANCE] == ROWS_ONLY:
         return
     kinds[at[KIND]] = TURN
     at[KIND] += 1
