@@ -79,7 +79,8 @@ def record(
     """Run ``vehicle`` forward; rows, and so the smoothed epochs, come at ``rate_hz``.
 
     Without ``rate_hz`` at the configured output rate. ``tape`` and ``inputs`` both off: the
-    forward run alone. ``inputs`` are what the two-filter smoothers go back over.
+    forward run alone. ``inputs`` are what the two-filter smoothers go back over; without ``tape``
+    there are rows with P beside them.
     """
     if rate_hz is not None:
         engine_config = msgspec.structs.replace(config.engine, output_rate_hz=rate_hz)

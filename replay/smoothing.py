@@ -6,13 +6,16 @@ from collections.abc import Callable
 from typing import Literal
 
 from companion.config import Config
+from companion.smoothing.fading import Fading
 from companion.smoothing.offline import smooth
 from companion.smoothing.two_filter import two_filter
 from companion.smoothing.weighted import two_filter_weighted
 from companion.types import Solution, VehicleRecording
 from replay.recorded import RecordedRun, record
 
-Method = Literal["bryson-frazier", "rts", "two-filter", "two-filter-weighted"]
+Method = Literal[
+    "bryson-frazier", "rts", "two-filter", "two-filter-straight", "two-filter-weighted"
+]
 
 
 def record_for(
@@ -33,8 +36,8 @@ def record_for(
         config,
         rate_hz=rate_hz,
         covariance=covariance or method == "two-filter-weighted",
-        tape=method != "two-filter",
-        inputs=method in ("two-filter", "two-filter-weighted"),
+        tape=method not in ("two-filter", "two-filter-straight"),
+        inputs=method.startswith("two-filter"),
         progress=progress,
     )
 
@@ -45,8 +48,9 @@ def smoothed(run: RecordedRun, method: Method) -> Solution:
     Raises :class:`companion.smoothing.offline.SmoothingError` where a covariance cannot be
     inverted by a method that inverts one.
     """
-    if method == "two-filter":
-        return two_filter(run.solution, run.reports, run.stretches, run.config)
+    if method == "two-filter" or method == "two-filter-straight":
+        fading: Fading = "consistent" if method == "two-filter" else "straight"
+        return two_filter(run.tapes, run.reports, run.stretches, run.config, fading)
     if method == "two-filter-weighted":
         return two_filter_weighted(run.tapes, run.stretches, run.config)
     return smooth(run.tapes, run.config, method)

@@ -230,11 +230,14 @@ def smooth(
         Path, typer.Argument(metavar="RUN", help="A run log, or any log that replay reads.")
     ],
     method: Annotated[
-        Literal["bryson-frazier", "rts", "two-filter", "two-filter-weighted"],
+        Literal[
+            "bryson-frazier", "rts", "two-filter", "two-filter-straight", "two-filter-weighted"
+        ],
         typer.Option(
             help="bryson-frazier: optimal, inverts nothing; rts: the reference beside it; "
-            "two-filter: the log run backwards, too, and faded over inside each outage (Kamil et "
-            "al. 2014); two-filter-weighted: the same two runs weighted by their covariances."
+            "two-filter: the log run backwards, too, and faded over inside each outage, position "
+            "and velocity together; two-filter-straight: each by itself, as Kamil et al. 2014; "
+            "two-filter-weighted: the same two runs weighted by their covariances."
         ),
     ] = "bryson-frazier",
     rate: Annotated[

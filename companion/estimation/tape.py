@@ -146,7 +146,7 @@ def record_fade(tape: Recorder, square: float) -> None:
     covariance is P_s / ``square`` before (Sasiadek and Wang's P^α; λ and Λ grow by ``square``).
     """
     kinds, _, fine, at = tape
-    if kinds.shape[0] == 0:
+    if kinds.shape[0] == 0 or at[WITH_COVARIANCE] == ROWS_ONLY:
         return
     kinds[at[KIND]] = FADE
     at[KIND] += 1

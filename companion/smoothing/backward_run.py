@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from companion.config import DEG, Config
 from companion.estimation import parameters as par
-from companion.estimation.recording import nothing
+from companion.estimation.recording import Chunk, nothing
 from companion.estimation.stretch import Block, Mark, Stretch
 from companion.estimation.tape import F32, RECORDER, Recorder
 from companion.estimation.update import REPORT_SIZE
@@ -45,6 +46,14 @@ class Backward:
     """(N, NOMINAL) by the offsets of a filter's state."""
     triangle: F32
     """(N, n (n + 1) / 2) upper triangles of P."""
+
+    def by_chunk(self, chunks: Sequence[Chunk]) -> Iterator[tuple[Chunk, Backward]]:
+        """The chunks whose rows the N epochs are, each with its part."""
+        at = 0
+        for chunk in chunks:
+            rows = slice(at, at + len(chunk.t_ns))
+            yield chunk, Backward(self.known[rows], self.nominal[rows], self.triangle[rows])
+            at = rows.stop
 
 
 @njit(

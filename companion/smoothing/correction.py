@@ -89,8 +89,14 @@ def apart(rows: F64, origin: F64) -> F64:
 
 def published_blocks(cov: F64) -> F64:
     """(N, 5, 6) as :attr:`companion.types.Solution.cov`, of whole covariances (N, n, n)."""
+    blocks = [cov[:, 3 * b : 3 * b + 3, 3 * b : 3 * b + 3] for b in range(5)]
+    return triangles(np.stack(blocks, axis=1))
+
+
+def triangles(blocks: F64) -> F64:
+    """(N, 5, 6) upper triangles of blocks (N, 5, 3, 3)."""
     i, j = np.triu_indices(3)
-    return np.stack([cov[:, 3 * b + i, 3 * b + j] for b in range(5)], axis=1)
+    return np.ascontiguousarray(blocks[:, :, i, j])
 
 
 def square(triangle: F32, n: int) -> F64:

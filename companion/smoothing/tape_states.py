@@ -104,3 +104,11 @@ def states_at_rows(chunk: Chunk, lay: I64, par: F64) -> tuple[F64, F32]:
     _read(chunk.kinds, chunk.coarse, chunk.fine, triangle, lay, par, x, rows, P)
     rows[:, : lo.CORE_STATES] = 0.0
     return rows, P
+
+
+def covariance_at_rows(chunk: Chunk, lay: I64, par: F64) -> F32:
+    """Upper triangles of P (rows, n (n + 1) / 2) on a tape that carries them, whole or not."""
+    n = int(lay[lo.L_N])
+    if len(chunk.fine) == 0:  # rows are all there is
+        return chunk.coarse.reshape(-1, n * (n + 1) // 2)
+    return states_at_rows(chunk, lay, par)[1]

@@ -84,7 +84,7 @@ def reversed_state(s: F64, k: I64, n: int, ipar: I64, mirror: Mirror) -> tuple[F
     """A forward filter's state as the start of a run backwards; P is the same but for signs.
 
     What was learned of the sensors (vibration, spread at rest, adaptive scales) is kept; what is
-    under way (interval sums, standstill window) begins anew.
+    under way (interval sums, standstill window, windows of innovations) begins anew.
     """
     s, k = s.copy(), k.copy()
     turn_around(s)
@@ -94,6 +94,7 @@ def reversed_state(s: F64, k: I64, n: int, ipar: I64, mirror: Mirror) -> tuple[F
     s[lo.STILL_SUM : lo.STILL_LEARNED] = 0.0
     s[lo.STILL_ANCHOR : lo.STILL_ANCHOR + 4] = 0.0
     s[lo.VELOCITY_FIT] = 0.0
+    s[lo.WINDOWS : lo.P] = 0.0
     P = s[lo.P :].reshape(n, n)
     sign = signs(n)
     P *= sign[:, None] * sign

@@ -1,9 +1,9 @@
 """Simplified two-filter smoothing: the forward run and one over the log reversed, put together.
 
-Kamil et al. 2014, section 4.2 and Fig. 2: no inverse of a covariance anywhere.
-Inside an outage the backward solution's share w grows from 0 at its start through ½ in the middle
-to 1 at its end; outside, the two are averaged by their variances. Attitude goes along the shortest
-turn (slerp), which is φ → w φ for the rotation vector φ between the two.
+Kamil et al. 2014, section 4.2 and Fig. 2: no inverse of a covariance anywhere. Inside an outage the
+backward solution's share grows from 0 at its start through ½ in the middle to 1 at its end;
+outside, the two are averaged by their variances. Attitude goes along the shortest turn (slerp),
+which is φ → w φ for the rotation vector φ between the two.
 """
 
 from __future__ import annotations
@@ -14,82 +14,55 @@ import numpy as np
 
 from companion.config import Config
 from companion.estimation import parameters as par
+from companion.estimation.recording import Chunk, Tape
 from companion.estimation.stretch import Stretch
 from companion.navigation import layout as lo
-from companion.smoothing.backward_run import run_backwards
-from companion.smoothing.correction import (
-    apart,
-    correct,
-    from_rows,
-    published_blocks,
-    square,
-    state_rows,
-    to_rows,
-)
-from companion.types import (
-    COV_POS,
-    F64,
-    I64,
-    NS,
-    AidingReports,
-    Channel,
-    Solution,
-    Verdict,
-)
-
-GRADING = 1.0
-"""Exponent of the weights inside an outage: 1 as the paper's straight lines."""
-_DIAGONAL = [0, 3, 5]
+from companion.smoothing.backward_run import Backward, run_backwards
+from companion.smoothing.correction import apart, correct, from_rows, square, state_rows, triangles
+from companion.smoothing.fading import Fading, by_variance, fade, joined
+from companion.smoothing.tape_states import covariance_at_rows
+from companion.types import F64, NS, AidingReports, Channel, Solution, Verdict
 
 
 def two_filter(
-    solution: Solution, reports: AidingReports, stretches: Sequence[Stretch], config: Config
+    tapes: Sequence[Tape],
+    reports: AidingReports,
+    stretches: Sequence[Stretch],
+    config: Config,
+    fading: Fading = "consistent",
 ) -> Solution:
-    """The simplified two-filter solution at the epochs of the settled forward ``solution``.
+    """The simplified two-filter solution at the output rows of ``tapes``, which carry P.
 
     ``reports`` of the same run say where GNSS was missing. Epochs for which the run backwards has
     nothing stay as they are.
     """
-    parts = [
-        _simplified(solution.take(rows), reports, stretch, config)
-        for stretch, rows in _by_stretch(solution, stretches)
-    ]
+    parts = []
+    for tape, stretch in by_stretch(tapes, stretches):
+        chunks = [chunk for chunk in tape.chunks if len(chunk.t_ns)]
+        gaps = outages(reports, stretch, config)
+        t_ns = np.concatenate([chunk.t_ns for chunk in chunks])
+        back = run_backwards(stretch, config, t_ns)
+        for chunk, own in back.by_chunk(chunks):
+            parts.append(_of_chunk(chunk, own, gaps, config, fading))
     return Solution.concatenate(parts)
 
 
-def _by_stretch(solution: Solution, stretches: Sequence[Stretch]) -> list[tuple[Stretch, slice]]:
-    """Each stretch with the rows of ``solution`` inside it."""
+def by_stretch(tapes: Sequence[Tape], stretches: Sequence[Stretch]) -> list[tuple[Tape, Stretch]]:
+    """The tapes that have rows, each with its inputs."""
+    inputs = {stretch.resets: stretch for stretch in stretches}
     found = []
-    for stretch in stretches:
-        rows = np.flatnonzero(solution.resets == stretch.resets)
-        if len(rows):
-            found.append((stretch, slice(int(rows[0]), int(rows[-1]) + 1)))
+    for tape in tapes:
+        resets = next((int(c.resets[0]) for c in tape.chunks if len(c.resets)), None)
+        if resets is not None:
+            found.append((tape, inputs[resets]))
     return found
 
 
-def _simplified(
-    forward: Solution, reports: AidingReports, stretch: Stretch, config: Config
-) -> Solution:
-    back = run_backwards(stretch, config, forward.t_ns)
-    layout = par.layout(config)
-    other = published_blocks(square(back.triangle, layout.n))
-    share = _shares(forward.cov, other, _gaps(reports, stretch, config), forward.t_ns)
-    share[~back.known] = 0.0
-    rows = to_rows(forward)
-    dx = np.zeros((len(rows), layout.n))
-    dx[:, : lo.CORE_STATES] = np.repeat(share, 3, axis=1) * apart(state_rows(back.nominal), rows)
-    dx[~back.known] = 0.0
-    correct(rows, dx, layout.vector())
-    cov = _joined(forward.cov, other, share, layout.gnss >= 0)
-    cov[~back.known] = forward.cov[~back.known]
-    return from_rows(rows, forward.t_ns, cov, forward.mode, forward.resets)
-
-
-def _gaps(reports: AidingReports, stretch: Stretch, config: Config) -> list[tuple[int, int]]:
+def outages(reports: AidingReports, stretch: Stretch, config: Config) -> list[tuple[int, int]]:
     """Outages: between accepted fixes, longer than what the engine calls coasting [ns].
 
-    One that lasts to the end of the stretch has no fix behind it: it ends there, and its end is
-    known no better than the forward run knows it.
+    One that lasts to the end of the stretch has no fix behind it and is none: what the run
+    backwards starts from there is the forward run's, and is weighted as that.
     """
     fixes = np.isin(reports.channel, [Channel.GNSS_POSITION_H, Channel.GNSS_VELOCITY_H])
     fixes &= reports.verdict == Verdict.ACCEPTED
@@ -100,35 +73,43 @@ def _gaps(reports: AidingReports, stretch: Stretch, config: Config) -> list[tupl
     return list(zip(t[:-1][longer].tolist(), t[1:][longer].tolist(), strict=True))
 
 
-def _shares(own: F64, other: F64, gaps: list[tuple[int, int]], t_ns: I64) -> F64:
-    """(N, 5) the backward solution's weight, a column for each block of :attr:`Solution.cov`.
+def _of_chunk(
+    chunk: Chunk, back: Backward, gaps: list[tuple[int, int]], config: Config, fading: Fading
+) -> Solution:
+    layout = par.layout(config)
+    own = covariance_at_rows(chunk, layout.vector(), par.parameter_vector(config))
+    P, P_back = square(own, layout.n), square(back.triangle, layout.n)
+    P_back[~back.known] = P[~back.known]
+    weights = by_variance(_variances(P), _variances(P_back))
+    for gap in gaps:
+        fade(weights, chunk.t_ns, gap, fading)
+    weights.motion[~back.known] = 0.0
+    weights.rest[~back.known] = 0.0
+    rows = chunk.nominal.copy()
+    between = apart(state_rows(back.nominal), rows)
+    between[~back.known] = 0.0
+    dx = np.zeros((len(rows), layout.n))
+    dx[:, : lo.CORE_STATES] = weights.correction(between)
+    correct(rows, dx, layout.vector())
+    cov = joined(weights, P, P_back, _common(P, P_back, config))
+    return from_rows(rows, chunk.t_ns, triangles(cov), chunk.mode, chunk.resets)
 
-    ``own``, ``other`` (N, 5, 6) are the covariances of the forward and of the backward solution.
+
+def _variances(P: F64) -> F64:
+    """(N, 5) variances of the blocks of the core, their components taken together."""
+    diagonal = np.diagonal(P, axis1=1, axis2=2)[:, : lo.CORE_STATES]
+    total: F64 = diagonal.reshape(-1, 5, 3).sum(axis=2)
+    return total
+
+
+def _common(P: F64, P_back: F64, config: Config) -> F64:
+    """(N, 3) position variance that both runs err by alike: the slow GNSS error, as far as known.
+
+    Never more than either has. It changes within an outage; taking it for constant claims less.
     """
-    var, var_back = (cov[:, :, _DIAGONAL].sum(axis=2) for cov in (own, other))
-    share: F64 = var / (var + var_back)
-    for begin, end in gaps:
-        a, b = np.searchsorted(t_ns, [begin, end])
-        share[a:b] = fading((t_ns[a:b] - begin) / (end - begin))[:, None]
-    return share
-
-
-def fading(elapsed: F64) -> F64:
-    """The backward share at a fraction ``elapsed`` of an outage: 0, ½ in the middle, 1."""
-    ahead, behind = elapsed**GRADING, (1.0 - elapsed) ** GRADING
-    share: F64 = ahead / (ahead + behind)
-    return share
-
-
-def _joined(forward: F64, back: F64, share: F64, shared_prior: bool) -> F64:
-    """(N, 5, 6) covariances of the weighted mean.
-
-    The two runs have no measurement in common: (1 − w)² P_f + w² P_b. With a slow GNSS error both
-    positions err by it alike: then (1 − w) P_f + w P_b, which holds for any correlation.
-    """
-    weight = share[:, :, None]
-    cov = (1.0 - weight) ** 2 * forward + weight**2 * back
-    if shared_prior:
-        w_pos = weight[:, COV_POS]
-        cov[:, COV_POS] = (1.0 - w_pos) * forward[:, COV_POS] + w_pos * back[:, COV_POS]
-    return cov
+    layout = par.layout(config)
+    if layout.gnss < 0:
+        return np.zeros((len(P), 3))
+    prior = par.initial_variances(config, layout)[layout.gnss : layout.gnss + 3]
+    own, other = (np.diagonal(x, axis1=1, axis2=2)[:, :3] for x in (P, P_back))
+    return np.minimum(np.minimum(own, other), prior)

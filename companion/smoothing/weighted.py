@@ -30,6 +30,7 @@ from companion.smoothing.correction import (
 )
 from companion.smoothing.offline import SmoothingError
 from companion.smoothing.tape_states import optional, states_at_rows
+from companion.smoothing.two_filter import by_stretch
 from companion.types import F64, Solution
 
 
@@ -40,24 +41,11 @@ def two_filter_weighted(
 
     The tapes must carry P. Raises :class:`SmoothingError` where a covariance cannot be inverted.
     """
-    by_resets = {stretch.resets: stretch for stretch in stretches}
     parts = []
-    for tape in tapes:
+    for tape, stretch in by_stretch(tapes, stretches):
         chunks = [chunk for chunk in tape.chunks if len(chunk.t_ns)]
-        if chunks:
-            parts.append(_of_tape(chunks, by_resets[int(chunks[0].resets[0])], config))
-    return Solution.concatenate(parts)
-
-
-def _of_tape(chunks: list[Chunk], stretch: Stretch, config: Config) -> Solution:
-    t_ns = np.concatenate([chunk.t_ns for chunk in chunks])
-    back = run_backwards(stretch, config, t_ns)
-    parts, at = [], 0
-    for chunk in chunks:
-        rows = slice(at, at + len(chunk.t_ns))
-        own = Backward(back.known[rows], back.nominal[rows], back.triangle[rows])
-        parts.append(_of_chunk(chunk, own, config))
-        at = rows.stop
+        back = run_backwards(stretch, config, np.concatenate([c.t_ns for c in chunks]))
+        parts += [_of_chunk(chunk, own, config) for chunk, own in back.by_chunk(chunks)]
     return Solution.concatenate(parts)
 
 
