@@ -32,6 +32,7 @@ from companion.intake.aids import NEVER, Admitted, AidIntake
 from companion.intake.counters import Counters
 from companion.intake.inertial import CHUNK, CLOCK_BACK_NS, InertialIntake, in_order
 from companion.outlet import NO_SOLUTION, NOTHING, Outlet, join, reports
+from companion.smoothing.on_line import OnLine
 from companion.types import (
     F64,
     I64,
@@ -77,6 +78,8 @@ class Engine:
         self._outlet = Outlet()
         self._imu = SampleBuffer(7)
         self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
+        self.on_line = OnLine(config)
+        self._finished = False
         self._ring_ns = round(config.engine.delay_ring_s * NS)
         self._keep_imu_ns = self._ring_ns + round(config.alignment.window_s * NS) + 2 * NS
 
@@ -135,7 +138,16 @@ class Engine:
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""
+        self._finished = True
         return self._drain(final=True)
+
+    def smooth(self) -> Outputs:
+        """Smoothed epochs that are due by now, where ``[smoothing]`` is on; and nothing else.
+
+        To be called after a step, when its outputs are on their way, and after :meth:`finish`. How
+        often changes nothing of what comes out.
+        """
+        return self.on_line.take(self.filter.phases, self._horizon(self._finished))
 
     def tapes(self) -> list[Tape]:
         """What was recorded for a smoother, a tape for each stretch without a declared break.
@@ -157,6 +169,16 @@ class Engine:
     def digest_published(self) -> str:
         """Hash over everything published, in order."""
         return self._outlet.digest_published
+
+    @property
+    def digest_smoothed(self) -> str | None:
+        """Hash over everything smoothed on line, in order; None without a smoother."""
+        return self.on_line.digest
+
+    @property
+    def reached_ns(self) -> int | None:
+        """Time of validity of the last inertial sample taken; None before the first."""
+        return self._head
 
     # ------------------------------------------------------------------ inertial samples
 
@@ -186,6 +208,7 @@ class Engine:
     def _restart(self, last: int, now: int) -> Outputs:
         """The IMU's clock jumped back: settle what was, begin again on the new clock."""
         out = self._drain(final=True)
+        self.on_line.keep(self.filter.phases, self._horizon(final=True))
         resets = self.filter.resets
         self._tapes += self.filter.tapes()
         self._stretches += self.filter.stretches
@@ -287,15 +310,19 @@ class Engine:
 
     # ------------------------------------------------------------------ out
 
+    def _horizon(self, final: bool) -> int:
+        """Nothing valid up to this time [ns] can change any more."""
+        if final:
+            return int(np.iinfo(np.int64).max)
+        head = self._head
+        return NEVER if head is None else head - self._ring_ns - 1
+
     def _reports(self) -> AidingReports:
         return reports(self.filter.reports, self._aiding.take_refusals())
 
     def _drain(self, final: bool = False) -> Outputs:
         """What is new and, behind the delay ring or at the end, what is settled."""
-        head = self._head
-        horizon = NEVER if head is None else head - self._ring_ns - 1
-        if final:
-            horizon = int(np.iinfo(np.int64).max)
+        head, horizon = self._head, self._horizon(final)
         self._outlet.publish(self.filter)
         out = Outputs(
             self._outlet.published(),

@@ -5,6 +5,8 @@ Going back in time rewrites rows and takes events back; what has been said stays
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from companion.estimation import update as up
@@ -61,7 +63,7 @@ class Outlet:
     def published(self) -> Solution:
         """The epochs set aside since the last call."""
         fresh, self._fresh = self._fresh, []
-        return _solution(fresh)
+        return solution_of(fresh)
 
     def settled(self, rows: SampleBuffer, horizon: int) -> Solution:
         """Output rows up to ``horizon``, which nothing can change any more; they leave ``rows``."""
@@ -74,7 +76,7 @@ class Outlet:
         if a < b:
             self._settled.update(rows.t[a:b], rows.rows[a:b])
             self._settled_t = int(rows.t[b - 1])
-            settled = _solution([(rows.t[a:b].copy(), rows.rows[a:b].copy())])
+            settled = solution_of([(rows.t[a:b].copy(), rows.rows[a:b].copy())])
         rows.start = b
         return settled
 
@@ -121,6 +123,13 @@ def reports(buffer: SampleBuffer, refusals: list[AidingReports]) -> AidingReport
     return AidingReports.concatenate(parts) if parts else NO_REPORTS
 
 
+def with_smoothed(out: Outputs, late: Outputs) -> Outputs:
+    """What a step gave out, and what :meth:`companion.engine.Engine.smooth` did after it."""
+    if late is NOTHING:
+        return out
+    return replace(out, events=(*out.events, *late.events), smoothed=late.smoothed)
+
+
 def join(parts: list[Outputs]) -> Outputs:
     """What several steps gave out, as one."""
     if len(parts) == 1:
@@ -133,7 +142,7 @@ def join(parts: list[Outputs]) -> Outputs:
     )
 
 
-def _solution(parts: list[tuple[I64, F64]]) -> Solution:
+def solution_of(parts: list[tuple[I64, F64]]) -> Solution:
     """Output rows, times and values of their own, as columns that are views of them."""
     if not parts:
         return NO_SOLUTION

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 NS = 1_000_000_000
 """Nanoseconds in a second."""
@@ -228,6 +229,8 @@ class VehicleRecording:
     autopilot: ReferenceSamples | None = None
     height_datum: Literal["hae", "msl"] = "hae"
     streams: tuple[StreamInfo, ...] = ()
+    smoothing_gaps: tuple[tuple[int, int], ...] = ()
+    """Spans [ns] in which the smoother of a live run gave way to its filter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,6 +324,39 @@ class Solution:
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
 
+@dataclass(frozen=True, slots=True)
+class Smoothed:
+    """Epochs smoothed on line, in forward order of time, each given out once."""
+
+    solution: Solution
+    lag_ns: I64
+    """(N,) how much younger the youngest data behind each epoch may be, with the delay ring in
+    which they settle: so much later than the filter's the epoch can be had."""
+    smoothed: Flags
+    """(N,) false where the estimate is the filter's: between smoothed epochs of a mixed output, and
+    where the smoother gave way or failed."""
+
+    def __len__(self) -> int:
+        return len(self.solution)
+
+    @classmethod
+    def empty(cls) -> Smoothed:
+        return cls(Solution.empty(), np.zeros(0, np.int64), np.zeros(0, np.bool_))
+
+    @classmethod
+    def concatenate(cls, parts: list[Smoothed]) -> Smoothed:
+        """Join in order; empty for an empty list."""
+        if len(parts) == 1:
+            return parts[0]
+        if not parts:
+            return cls.empty()
+        return cls(
+            Solution.concatenate([p.solution for p in parts]),
+            np.concatenate([p.lag_ns for p in parts]),
+            np.concatenate([p.smoothed for p in parts]),
+        )
+
+
 class Channel(IntEnum):
     """Aiding channels: what one innovation, one gate and one adaptation belong to."""
 
@@ -396,6 +432,10 @@ class AidingReports:
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
 
+SMOOTHING_GAVE_WAY, SMOOTHING_RESUMED = "smoothing-gave-way", "smoothing-resumed"
+"""Kinds of event that a replay follows: their times say which windows a live run left out."""
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that a person or a program downstream should know, at its time."""
@@ -408,6 +448,9 @@ class Event:
     level: Literal["info", "warning", "error"] = "info"
 
 
+NO_SMOOTHED = Smoothed.empty()
+
+
 @dataclass(frozen=True, slots=True)
 class Outputs:
     """What one engine step gave out."""
@@ -418,6 +461,8 @@ class Outputs:
     """Epochs that nothing arriving inside the delay ring can change any more."""
     reports: AidingReports
     events: tuple[Event, ...]
+    smoothed: Smoothed = NO_SMOOTHED
+    """Only from :meth:`companion.engine.Engine.smooth`."""
 
 
 # --------------------------------------------------------------------------- health

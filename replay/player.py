@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.config import Config
 from companion.engine import CLOCK_BACK_NS, NOTHING, Engine
+from companion.outlet import with_smoothed
 from companion.selection import Thinner
 from companion.types import (
     I64,
@@ -174,15 +175,18 @@ def play(
     the solution.
     """
     engine = Engine(config)
+    if engine.on_line.running is not None:
+        for since_ns, until_ns in vehicle.smoothing_gaps:
+            engine.on_line.running.give_way(since_ns, until_ns)
     last: AnySamples | None = None
     for imu, aids in blocks(vehicle, config, block_s):
-        out = engine.step_block(imu, aids)
+        out = with_smoothed(engine.step_block(imu, aids), engine.smooth())
         last = imu
         if sink is not None:
             for samples in aids:
                 sink(samples, NOTHING)
             sink(imu, out)
-    out = engine.finish()
+    out = with_smoothed(engine.finish(), engine.smooth())
     if sink is not None and last is not None:
         sink(last.take(slice(0, 0)), out)
     return engine

@@ -19,6 +19,8 @@ from companion.logbook.recovery import Condition, Topic, walk
 from companion.proto import run_pb2
 from companion.types import (
     NS,
+    SMOOTHING_GAVE_WAY,
+    SMOOTHING_RESUMED,
     AidingReports,
     Event,
     LogFormatError,
@@ -154,7 +156,7 @@ def read_run(path: Path) -> Recording:
     A log that was cut is read up to its last whole chunk, with a note. Raises
     :class:`LogFormatError` when the file is not a run log.
     """
-    run = _Run(Path(path), _BATCHES)
+    run = _Run(Path(path), (*_BATCHES, "events"))
     vehicles = tuple(_vehicle(run, name) for name in run.vehicles())
     return Recording(
         path=str(path),
@@ -198,6 +200,7 @@ def _vehicle(run: _Run, name: str) -> VehicleRecording:
         truth=_only(of("truth")),
         autopilot=_only(of("autopilot")),
         height_datum="msl" if info.height_datum == "msl" else "hae",
+        smoothing_gaps=_smoothing_gaps(run, name),
         streams=tuple(
             StreamInfo(s.source, _kind(s.kind), s.count, s.rate_hz, s.longest_gap_s, s.gaps, s.note)
             for s in info.streams
@@ -239,6 +242,18 @@ def _samples(run: _Run, batch: Batch, source: str, payloads: list[bytes]) -> Sam
     kind: Any = batch.type
     samples: Samples = kind(source=source, **found)
     return samples
+
+
+def _smoothing_gaps(run: _Run, vehicle: str) -> tuple[tuple[int, int], ...]:
+    """When a live run's smoother gave way, by its own events: a replay must do the same."""
+    gaps: list[tuple[int, int]] = []
+    for data in run.messages[vehicle].get("events", []):
+        event = _event(run, data)
+        if event is not None and event.kind == SMOOTHING_GAVE_WAY:
+            gaps.append((event.t_ns, int(np.iinfo(np.int64).max)))
+        elif event is not None and event.kind == SMOOTHING_RESUMED and gaps:
+            gaps[-1] = gaps[-1][0], event.t_ns
+    return tuple(gaps)
 
 
 def _decodes(batch: Batch, payload: bytes) -> bool:
@@ -305,6 +320,8 @@ class RunDigests:
     """The arrival up to which they count; None: the whole run."""
     digest: str
     digest_published: str
+    digest_smoothed: str | None
+    """Of what was smoothed on line, in a log that was closed."""
 
 
 def read_digests(path: Path, vehicle: str) -> RunDigests | None:
@@ -313,10 +330,11 @@ def read_digests(path: Path, vehicle: str) -> RunDigests | None:
     per_vehicle = run.summary.get("vehicles")
     closed = per_vehicle.get(vehicle, {}) if isinstance(per_vehicle, dict) else run.summary
     if "digest" in closed and "digest_published" in closed:
-        return RunDigests(None, str(closed["digest"]), str(closed["digest_published"]))
+        smoothed = closed.get("digest_smoothed")
+        return RunDigests(None, str(closed["digest"]), str(closed["digest_published"]), smoothed)
     said = run.messages[vehicle].get("checkpoint", [])
     last = run._parse(run_pb2.Checkpoint, said[-1] if said else None)
-    return RunDigests(last.seq, last.digest, last.digest_published) if last else None
+    return RunDigests(last.seq, last.digest, last.digest_published, None) if last else None
 
 
 def _settled(payloads: list[bytes]) -> Solution | None:

@@ -53,6 +53,8 @@ class SessionResult:
     events: tuple[Event, ...]
     digest: str
     digest_published: str
+    digest_smoothed: str | None
+    """Of what was smoothed on line; None where nothing was."""
     cpu_s: float
     """CPU time of engine and log writing together [s]."""
     wall_s: float
@@ -151,6 +153,7 @@ def run_session(
         events=tuple(collector.events),
         digest=engine.digest,
         digest_published=engine.digest_published,
+        digest_smoothed=engine.digest_smoothed,
         cpu_s=time.process_time() - cpu,
         wall_s=time.monotonic() - wall,
     )

@@ -28,12 +28,18 @@ class Comparison:
 
 
 def compare_with_live(
-    path: Path, vehicle: VehicleRecording, config: Config, digest: str, digest_published: str
+    path: Path,
+    vehicle: VehicleRecording,
+    config: Config,
+    digest: str,
+    digest_published: str,
+    digest_smoothed: str | None = None,
 ) -> Comparison | None:
     """Hold a replay of the log at ``path`` against the run that wrote it.
 
-    ``digest``, ``digest_published``: of the replay of the whole log. A log that was not closed is
-    replayed once more, up to its last checkpoint. None for a log without digests to compare with.
+    ``digest``, ``digest_published`` and, of a run that smoothed, ``digest_smoothed``: of the replay
+    of the whole log. A log that was not closed is replayed once more, up to its last checkpoint.
+    None for a log without digests to compare with.
     """
     stored = read_digests(path, vehicle.name)
     if stored is None:
@@ -42,6 +48,7 @@ def compare_with_live(
         engine = _played_until(vehicle, config, stored.seq)
         digest, digest_published = engine.digest, engine.digest_published
     equal = (stored.digest, stored.digest_published) == (digest, digest_published)
+    equal &= stored.digest_smoothed == digest_smoothed or stored.seq is not None
     return Comparison(equal, stored.seq, stored.digest, stored.digest_published)
 
 

@@ -90,7 +90,12 @@ def _against_live(console: Console, path: Path, result: SessionResult) -> dict[s
     from replay.verification import compare_with_live
 
     found = compare_with_live(
-        path, result.vehicle, result.chosen.config, result.digest, result.digest_published
+        path,
+        result.vehicle,
+        result.chosen.config,
+        result.digest,
+        result.digest_published,
+        result.digest_smoothed,
     )
     if found is None:
         console.print("Live      the log holds no digest to compare with: it was cut too early")

@@ -23,6 +23,7 @@ from companion.config.estimator import (
     Gnss,
     Imu,
     Mag,
+    Smoothing,
     Vehicle,
 )
 from companion.config.live import (
@@ -63,6 +64,7 @@ __all__ = [
     "Mag",
     "Mavlink",
     "RawGnss",
+    "Smoothing",
     "ToAutopilot",
     "Vehicle",
     "Zenoh",
@@ -73,6 +75,8 @@ __all__ = [
 
 DEG = math.pi / 180.0
 G0 = 9.80665
+MAX_WINDOW = 100
+"""Longest smoothing window: beyond it nothing is gained, and every fix costs as many passes."""
 
 
 class Config(Section):
@@ -86,6 +90,7 @@ class Config(Section):
     alignment: Alignment = Alignment()
     engine: EngineConfig = EngineConfig()
     adaptation: Adaptation = Adaptation()
+    smoothing: Smoothing = Smoothing()
     can: tuple[CanBus, ...] = ()
     mavlink: Mavlink = Mavlink()
     zenoh: Zenoh = Zenoh()
@@ -166,6 +171,8 @@ _POSITIVE = (
     "engine.output_rate_hz",
     "engine.delay_ring_s",
     "engine.imu_gap_bridge_s",
+    "smoothing.rate_hz",
+    "smoothing.longest_interval_s",
 )
 
 _NOT_NEGATIVE = ("imu.vibration_gain_rthz", "imu.gyro_vibration_gain_rthz")
@@ -200,6 +207,10 @@ def _check(config: Config) -> None:
         raise ConfigError("key 'alignment.hypotheses': between 4 and 72")
     check_adaptation(config.adaptation)
     check_raw_gnss(config.raw_gnss)
+    if not 1 <= config.smoothing.window <= MAX_WINDOW:
+        raise ConfigError(f"key 'smoothing.window': update intervals, 1 to {MAX_WINDOW}")
+    if not 0 < config.smoothing.load_limit <= 1:
+        raise ConfigError("key 'smoothing.load_limit': share of a core, above 0 and up to 1")
     check_live(config)
 
 

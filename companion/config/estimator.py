@@ -160,3 +160,21 @@ class EngineConfig(Section):
     gate_relock_s: float = 10.0
     """Position aiding rejected by the gate for this long: declared reset of position and
     velocity to several mutually consistent fixes."""
+
+
+class Smoothing(Section):
+    """Smoothing on line: estimates that come later than the filter's, from what came after them."""
+
+    enabled: bool = False
+    window: int = 1
+    """Update intervals (from one accepted fix to the next) looked back over at each fix. An epoch
+    is given out once so many more intervals are complete: more is better, later, and costs more."""
+    rate_hz: float = 10.0
+    """Smoothed epochs a second; at most ``engine.output_rate_hz``."""
+    mixed: bool = False
+    """Give out the filter's epochs between the smoothed ones as well."""
+    longest_interval_s: float = 60.0
+    """Without a fix for this long an interval ends all the same: bounds lag and memory."""
+    load_limit: float = 0.7
+    """Live: share of a core that filter and smoother may take together; beyond it the smoother
+    gives way for a while."""

@@ -9,6 +9,7 @@ import numpy as np
 from companion.config import DEG
 from companion.estimation import walk as w
 from companion.estimation.phases import Check, Filter, Phase, Setup
+from companion.estimation.recording import Tape
 from companion.navigation import layout as lo
 from companion.navigation.rotation import rotate_nav, rpy_from_quat
 from companion.types import F64, I64, NS, Event, Mode
@@ -51,8 +52,11 @@ def find_heading(setup: Setup, phase: Phase, t: int) -> tuple[Phase, Event] | No
     P = setup.covariance(s)
     P[8, 8] = max(P[8, 8], sd * sd)
     s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = s[lo.VELOCITY_FIT] = 0.0
-    found = Filter.start(s, k, setup.slots)
-    if f.tape is not None:
+    if f.tape is None:
+        found = setup.new_filter(s, k)
+    else:
+        assert isinstance(f.tape, Tape)
+        found = Filter.start(s, k, setup.slots)
         # A smoother goes on through the hypothesis that won; P was widened: a new chunk.
         f.tape.cut(s, k, widened=True)
         found.tape, f.tape = f.tape, None
@@ -73,5 +77,5 @@ def spread_headings(setup: Setup, s: F64, k: I64) -> list[Filter]:
     for m in range(count):
         turned = s.copy()
         rotate_nav(turned, 0.0, 0.0, 2.0 * math.pi * m / count)
-        filters.append(setup.new_filter(turned, k.copy()))
+        filters.append(setup.new_filter(turned, k.copy(), alone=False))
     return filters

@@ -77,7 +77,7 @@ class ErrorStateFilter:
         for phase in self.phases:
             best = phase.checks[-1].best if phase.mode is Mode.HEADING_UNKNOWN else 0
             for f in phase.filters[best : best + 1]:
-                if f.tape is not None:
+                if isinstance(f.tape, Tape):
                     f.tape.cut(f.s, f.k)
                     found.append(f.tape)
         return found

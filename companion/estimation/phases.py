@@ -9,6 +9,7 @@ import numpy as np
 from companion.config import Config
 from companion.estimation import parameters as par
 from companion.estimation.recording import Recording, Tape
+from companion.estimation.running_tape import RunningTape
 from companion.navigation import layout as lo
 from companion.types import F64, I64, NS, Mode
 
@@ -22,11 +23,11 @@ class Filter:
     snaps: F64
     snaps_k: I64
     first: tuple[F64, I64]
-    tape: Tape | None = None
-    """What a smoother reads; only in a run without late aiding, which would have to rewind it."""
+    tape: Tape | RunningTape | None = None
+    """What a smoother reads. A :class:`Tape` goes one way: only in a run without late aiding."""
 
     @classmethod
-    def start(cls, s: F64, k: I64, slots: int, tape: Tape | None = None) -> Filter:
+    def start(cls, s: F64, k: I64, slots: int, tape: Tape | RunningTape | None = None) -> Filter:
         if tape is not None:
             tape.begin(s, k)
         return cls(
@@ -106,9 +107,19 @@ class Setup:
         n = self.layout.n
         return s[lo.P :].reshape(n, n)
 
-    def new_filter(self, s: F64, k: I64) -> Filter:
-        """A filter that begins at a state, with a tape of its own where the run is recorded."""
-        tape = None
+    def new_filter(self, s: F64, k: I64, *, alone: bool = True) -> Filter:
+        """A filter that begins at a state, with a tape of its own where there is a smoother.
+
+        One of several (``alone`` false) has none to be smoothed on line: which of them counts is
+        known only when the heading is found.
+        """
+        return Filter.start(s, k, self.slots, self._new_tape(alone))
+
+    def _new_tape(self, alone: bool) -> Tape | RunningTape | None:
         if self.recorded:
-            tape = Tape(self.layout.n, self._record != "states", self._record == "inputs")
-        return Filter.start(s, k, self.slots, tape)
+            return Tape(self.layout.n, self._record != "states", self._record == "inputs")
+        smoothing = self.config.smoothing
+        if smoothing.enabled and alone:
+            every_ns = round(NS / smoothing.rate_hz)
+            return RunningTape(self.layout.n, every_ns, smoothing.mixed)
+        return None

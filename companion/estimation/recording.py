@@ -68,24 +68,23 @@ class Tape:
     def begin(self, s: F64, k: I64) -> None:
         """Start a chunk from the filter's state."""
         self._s = s.copy()
-        k[lo.TAPE_AT : lo.TAPE_AT + 3] = 0
-        k[lo.TAPE_AT + tp.WITH_COVARIANCE] = tp.ROWS_ONLY if self.rows_only else self.covariance
+        k[lo.TAPE_AT : lo.TAPE_AT + tp.POSITION] = 0
+        rows = tp.WITH_COVARIANCE if self.covariance else tp.MARKED
+        k[lo.TAPE_AT + tp.ROWS] = tp.ROWS_ONLY if self.rows_only else rows
 
     def recorder(self, k: I64, steps: int, updates: int, rows: int) -> tp.Recorder:
         """The tape for a kernel, with room for so many more records."""
-        at = k[lo.TAPE_AT : lo.TAPE_AT + 4]
+        at = position(k)
         if self.rows_only:
             steps = updates = 0
         triangle = self.n * (self.n + 1) // 2 if self.covariance else 0
-        self._kinds = _grown(self._kinds, int(at[tp.KIND]) + steps + 3 * updates + rows)
-        self._coarse = _grown(
-            self._coarse, int(at[tp.COARSE]) + tp.C_STEP * steps + triangle * rows
-        )
+        self._kinds = grown(self._kinds, int(at[tp.KIND]) + steps + 3 * updates + rows)
+        self._coarse = grown(self._coarse, int(at[tp.COARSE]) + tp.C_STEP * steps + triangle * rows)
         numbers = (
             tp.F_STEP_WITH_SCALE * steps
             + (tp.F_GAIN + 2 * self.n + tp.F_TURN + tp.F_FADE) * updates
         )
-        self._fine = _grown(self._fine, int(at[tp.FINE]) + numbers)
+        self._fine = grown(self._fine, int(at[tp.FINE]) + numbers)
         return self._kinds, self._coarse, self._fine, at
 
     def wrote(self, t_ns: I64, rows: F64, s: F64, k: I64) -> None:
@@ -116,7 +115,7 @@ class Tape:
         self.begin(s, k)
 
 
-def _grown(column: Column, size: int) -> Column:
+def grown(column: Column, size: int) -> Column:
     """``column`` itself where ``size`` fits, else a copy of at least twice the length."""
     if size <= len(column):
         return column
@@ -127,7 +126,12 @@ def _grown(column: Column, size: int) -> Column:
 
 def nothing(k: I64) -> tp.Recorder:
     """The tape of a filter that nobody smooths."""
-    return *_EMPTY, k[lo.TAPE_AT : lo.TAPE_AT + 4]
+    return *_EMPTY, position(k)
+
+
+def position(k: I64) -> I64:
+    """Where the tape of a filter stands, as a view of its integer state."""
+    return k[lo.TAPE_AT : lo.TAPE_AT + tp.POSITION]
 
 
 _EMPTY = (np.zeros(0, np.int8), np.zeros(0, np.float32), np.zeros(0))

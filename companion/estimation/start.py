@@ -210,7 +210,7 @@ def _initial(
         (lo.STILL_CELL, par.STILL_NS),
     ):
         k[cell] = t // int(setup.ipar[period])
-    return setup.new_filter(s, k)
+    return setup.new_filter(s, k, alone=heading.origin != "unknown")
 
 
 def _gyro_bias(s: F64, lev: Level, known: _Biases, heading: _Heading) -> tuple[F64, F64]:

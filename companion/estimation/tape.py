@@ -17,6 +17,15 @@ UPDATE + m  1/√S, y, which m of H are not zero, P Hᵀ   –
 ==========  =========================================  ==================================
 
 At 50 Hz the steps are 28 MB an hour; a scalar update takes about 180 bytes with sixteen states.
+
+A tape for smoothing on line is read while it is written, goes back with the filter, and is soon
+forgotten. So its rows hold all that they stand for, and it says where an update interval ends:
+
+==========  =========================================  ==================================
+FIX         time of an accepted fix (2)                –
+PLAIN_ROW   time (2), output row                       –
+FULL_ROW    time (2), output row, upper triangle of P  –
+==========  =========================================  ==================================
 """
 
 from __future__ import annotations
@@ -43,7 +52,9 @@ F32 = NDArray[np.float32]
 I8 = NDArray[np.int8]
 Recorder = tuple[I8, F32, F64, I64]
 
+SECOND = 1_000_000_000
 STEP, TURN, ROW, FADE, UPDATE = 0, 1, 2, 3, 4
+FIX, PLAIN_ROW, FULL_ROW = -1, -2, -3
 
 # --- columns of a step in `coarse`
 C_VEL, C_LAT, C_HEIGHT, C_NOISE_V, C_NOISE_A, C_NOISE_B, C_STEP = 0, 3, 4, 5, 6, 12, 13
@@ -53,17 +64,22 @@ F_STEP, F_STEP_WITH_SCALE = 16, 34
 F_R, F_Y, F_MASK, F_GAIN = 0, 1, 2, 3
 F_TURN = 3
 F_FADE = 1
+# --- a time in `fine`: whole seconds and the nanoseconds beyond, both exact
+F_TIME = 2
 
 # --- entries of a position on the tape
-KIND, COARSE, FINE, WITH_COVARIANCE = 0, 1, 2, 3
+KIND, COARSE, FINE, ROWS, EVERY_NS, CELL = 0, 1, 2, 3, 4, 5
+POSITION = 6
+# --- what becomes of an output row: marked, marked with P, that where nothing but rows is recorded;
+# on line those to be smoothed, or all
+MARKED, WITH_COVARIANCE, ROWS_ONLY, TO_SMOOTH, ALL = 0, 1, 2, 3, 4
 
 RECORDER = "Tuple((i1[::1], f4[::1], f8[::1], i8[::1]))"
 """Numba type of (kinds, coarse, fine, position), as the kernels take a tape. Empty: not recorded.
 
-``position`` (4,) is where the next record goes, and what ROW keeps: 0 nothing, 1 P, 2 P where
-nothing but rows is recorded.
+``position`` (6,) is where the next record goes, what rows keep, and on line the grid of the rows to
+be smoothed with the cell of the last one.
 """
-ROWS_ONLY = 2
 
 
 @njit(f"void({RECORDER}, f8[::1], i8[::1], f8[::1])", cache=True)
@@ -71,7 +87,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     """Put down the running covariance interval of ``s``, before it is closed."""
     kinds, coarse, fine, at = tape
     T = s[SUM_T]
-    if kinds.shape[0] == 0 or T <= 0.0 or at[WITH_COVARIANCE] == ROWS_ONLY:
+    if kinds.shape[0] == 0 or T <= 0.0 or at[ROWS] == ROWS_ONLY:
         return
     kinds[at[KIND]] = STEP
     at[KIND] += 1
@@ -96,7 +112,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
 def record_update(tape: Recorder, H: F64, gain: F64, r: float, y: float, n: int) -> None:
     """Put down a scalar update: ``H`` (n,), ``gain`` = P Hᵀ r, ``r`` = 1/√S, innovation ``y``."""
     kinds, _, fine, at = tape
-    if kinds.shape[0] == 0 or at[WITH_COVARIANCE] == ROWS_ONLY:
+    if kinds.shape[0] == 0 or at[ROWS] == ROWS_ONLY:
         return
     f = at[FINE]
     fine[f + F_R], fine[f + F_Y] = r, y
@@ -129,7 +145,7 @@ def read_h(update: F64, n: int, H: F64) -> None:
 def record_turn(tape: Recorder, dx: F64) -> None:
     """Put down the reset of the attitude error by the correction ``dx`` (n,)."""
     kinds, _, fine, at = tape
-    if kinds.shape[0] == 0 or at[WITH_COVARIANCE] == ROWS_ONLY:
+    if kinds.shape[0] == 0 or at[ROWS] == ROWS_ONLY:
         return
     kinds[at[KIND]] = TURN
     at[KIND] += 1
@@ -146,7 +162,7 @@ def record_fade(tape: Recorder, square: float) -> None:
     covariance is P_s / ``square`` before (Sasiadek and Wang's P^α; λ and Λ grow by ``square``).
     """
     kinds, _, fine, at = tape
-    if kinds.shape[0] == 0 or at[WITH_COVARIANCE] == ROWS_ONLY:
+    if kinds.shape[0] == 0 or at[ROWS] == ROWS_ONLY:
         return
     kinds[at[KIND]] = FADE
     at[KIND] += 1
@@ -154,23 +170,69 @@ def record_fade(tape: Recorder, square: float) -> None:
     at[FINE] += F_FADE
 
 
-@njit(f"void({RECORDER}, f8[::1], i8[::1])", cache=True)
-def record_row(tape: Recorder, s: F64, lay: I64) -> None:
-    """Mark an output row, with the upper triangle of P where it is wanted."""
-    kinds, coarse, _, at = tape
+@njit("void(f8[::1], i8)", cache=True)
+def write_time(f: F64, t: int) -> None:
+    """A time [ns] as two numbers that hold it exactly."""
+    f[0], f[1] = t // SECOND, t % SECOND
+
+
+@njit("i8(f8[::1])", cache=True)
+def read_time(f: F64) -> int:
+    """The time [ns] behind two numbers."""
+    return int(f[0]) * SECOND + int(f[1])
+
+
+@njit(f"void({RECORDER}, i8)", cache=True)
+def record_fix(tape: Recorder, t: int) -> None:
+    """On line: mark that a fix valid at ``t`` was taken in, the end of an update interval."""
+    kinds, _, fine, at = tape
+    if kinds.shape[0] == 0 or at[ROWS] < TO_SMOOTH:
+        return
+    kinds[at[KIND]] = FIX
+    at[KIND] += 1
+    write_time(fine[at[FINE] :], t)
+    at[FINE] += F_TIME
+
+
+@njit(f"void({RECORDER}, f8[::1], i8[::1], i8, f8[::1])", cache=True)
+def record_row(tape: Recorder, s: F64, lay: I64, t: int, row: F64) -> None:
+    """Mark an output row at ``t``, with the upper triangle of P where it is wanted.
+
+    On line with ``row`` itself, and P once in each cell of the grid of smoothed epochs.
+    """
+    kinds, coarse, fine, at = tape
     if kinds.shape[0] == 0:
         return
-    kinds[at[KIND]] = ROW
-    at[KIND] += 1
-    if at[WITH_COVARIANCE] == 0:
-        return
     n = lay[L_N]
-    c = at[COARSE]
-    for i in range(n):
-        for j in range(i, n):
-            coarse[c] = s[P_OFFSET + i * n + j]
-            c += 1
-    at[COARSE] = c
+    if at[ROWS] < TO_SMOOTH:
+        kinds[at[KIND]] = ROW
+        at[KIND] += 1
+        if at[ROWS] != MARKED:
+            c = at[COARSE]
+            for i in range(n):
+                for j in range(i, n):
+                    coarse[c] = s[P_OFFSET + i * n + j]
+                    c += 1
+            at[COARSE] = c
+        return
+    full = t // at[EVERY_NS] != at[CELL]
+    if not full and at[ROWS] == TO_SMOOTH:
+        return
+    kinds[at[KIND]] = FULL_ROW if full else PLAIN_ROW
+    at[KIND] += 1
+    f = at[FINE]
+    write_time(fine[f:], t)
+    f += F_TIME
+    for i in range(row.shape[0]):
+        fine[f + i] = row[i]
+    f += row.shape[0]
+    if full:
+        at[CELL] = t // at[EVERY_NS]
+        for i in range(n):
+            for j in range(i, n):
+                fine[f] = s[P_OFFSET + i * n + j]
+                f += 1
+    at[FINE] = f
 
 
 @njit("void(f4[::1], f8[::1], f8[::1])", cache=True)

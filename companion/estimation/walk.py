@@ -41,7 +41,7 @@ from companion.estimation.parameters import (
     ZERO_VELOCITY,
     ZUPT_VAR,
 )
-from companion.estimation.tape import RECORDER, Recorder, record_row, record_step
+from companion.estimation.tape import RECORDER, Recorder, record_fix, record_row, record_step
 from companion.estimation.update import fuse
 from companion.measurements.barometer import height
 from companion.measurements.gnss import position, velocity
@@ -144,6 +144,7 @@ def fuse_gnss(
     y = np.empty(3)
     R = np.empty(3)
     n = lay[L_N]
+    taken = False
     if z[A_VELOCITY] == z[A_VELOCITY] and z[A_VELOCITY + 1] == z[A_VELOCITY + 1]:
         down = z[A_VELOCITY + 2] if z[A_VELOCITY + 2] == z[A_VELOCITY + 2] else 0.0
         s[GNSS_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2 + down * down)
@@ -184,6 +185,7 @@ def fuse_gnss(
         good = fuse(s, lay, par, ipar, half, source, H, y, R, m, W, reports[count], tape)
         reports_t[count] = t
         count += 1
+        taken |= good
         if half == 0:
             if good:
                 k[T_POSITION_AID] = t
@@ -210,6 +212,8 @@ def fuse_gnss(
             reports_t[count] = t
             count += 1
     after_fix(s, lay, ipar, tape)
+    if taken:
+        record_fix(tape, t)
     return count
 
 
@@ -486,7 +490,7 @@ def walk(
             rows_t[n_rows] = t
             healthy = write_row(s, k, lay, ipar, total, rows[n_rows])
             if healthy:
-                record_row(tape, s, lay)
+                record_row(tape, s, lay, t, rows[n_rows])
                 n_rows += 1
         if not healthy:
             code = STOP_BROKEN

@@ -32,16 +32,18 @@ from companion.types import (
     COV_POS,
     COV_VEL,
     F64,
+    NS,
     AidingReports,
     LogFormatError,
     Mode,
+    Smoothed,
     Solution,
 )
 
 _COV_BLOCKS = ("cov_pos", "cov_vel", "cov_att", "cov_accel_bias", "cov_gyro_bias")
 """Fields of NavState in the order of :attr:`Solution.cov`'s rows."""
 
-_STATE = RowTemplate(
+_STATE_PARTS = (
     scalar(1, "sfixed64", "t_ns"),
     scalar(2, "enum", "mode"),
     scalar(3, "fixed32", "resets"),
@@ -59,6 +61,10 @@ _STATE = RowTemplate(
     scalar(19, "float", "roll_deg"),
     scalar(20, "float", "pitch_deg"),
     scalar(21, "float", "yaw_deg"),
+)
+_STATE = RowTemplate(*_STATE_PARTS)
+_SMOOTHED = RowTemplate(
+    *_STATE_PARTS, scalar(23, "float", "lag_s"), scalar(24, "sfixed32", "as_filtered")
 )
 _REPORT = RowTemplate(
     scalar(1, "sfixed64", "t_ns"),
@@ -114,6 +120,18 @@ _FLU_SIGN = np.array([1.0, -1.0, -1.0])
 
 def encode_states(solution: Solution) -> U8:
     """One ``NavState`` an epoch: bytes (N, length)."""
+    return _STATE.encode(_state_columns(solution), len(solution))
+
+
+def encode_smoothed(smoothed: Smoothed) -> U8:
+    """One ``NavState`` with its lag an epoch: bytes (N, length)."""
+    columns = _state_columns(smoothed.solution)
+    columns["lag_s"] = (smoothed.lag_ns / NS).astype(np.float32)
+    columns["as_filtered"] = ~smoothed.smoothed
+    return _SMOOTHED.encode(columns, len(smoothed))
+
+
+def _state_columns(solution: Solution) -> dict[str, Any]:
     columns: dict[str, Any] = {name: getattr(solution, name) for name in _STATE_FIELDS}
     for i, name in enumerate(_COV_BLOCKS):
         columns[name] = solution.cov[:, i]
@@ -125,7 +143,7 @@ def encode_states(solution: Solution) -> U8:
         columns["sd_att_deg"] = np.degrees(sd[:, COV_ATT]).astype(np.float32)
     for i, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg")):
         columns[name] = rpy[:, i]
-    return _STATE.encode(columns, len(solution))
+    return columns
 
 
 def decode_states(payloads: Sequence[bytes]) -> Solution:
@@ -135,7 +153,8 @@ def decode_states(payloads: Sequence[bytes]) -> Solution:
     """
     if not payloads:
         return Solution.empty()
-    rows = _STATE.decode(payloads)
+    template = _SMOOTHED if len(payloads[0]) == _SMOOTHED.size else _STATE
+    rows = template.decode(payloads)
     get = _getter(rows, payloads, navigation_pb2.NavState)
     try:
         cov = np.stack([get(name, 6) for name in _COV_BLOCKS], axis=1)

@@ -39,6 +39,7 @@ from companion.types import (
     MagSamples,
     Outputs,
     ReferenceSamples,
+    Smoothed,
     Solution,
     VehicleRecording,
 )
@@ -101,6 +102,7 @@ class LogWriter:
         self._parts: dict[tuple[str, str, str, str], list[AnyColumns]] = {}
         self._reports: dict[str, list[AidingReports]] = {}
         self._published: dict[str, list[Solution]] = {}
+        self._smoothed: dict[str, list[Smoothed]] = {}
         self._raw: dict[tuple[str, str], list[tuple[int, int, bytes]]] = {}
         self._origin: dict[str, tuple[float, float, float]] = {}
         self._drawn: dict[str, int] = {}
@@ -202,6 +204,9 @@ class LogWriter:
             key = (vehicle, "nav/settled", "solution", "forward")
             self._parts.setdefault(key, []).append(out.settled)
             rows += len(out.settled)
+        if len(out.smoothed):
+            self._smoothed.setdefault(vehicle, []).append(out.smoothed)
+            rows += len(out.smoothed)
         for event in out.events:
             self.event(event, vehicle)
         self._arrived(rows, self._now_ns)
@@ -266,6 +271,7 @@ class LogWriter:
         parts, self._parts = self._parts, {}
         published, self._published = self._published, {}
         reports, self._reports = self._reports, {}
+        smoothed, self._smoothed = self._smoothed, {}
         raw, self._raw = self._raw, {}
         self._rows, self._window_ns = 0, None
         for (vehicle, link), frames in raw.items():
@@ -275,6 +281,13 @@ class LogWriter:
             self._write_columns(vehicle, name, batch, source, blocks)
         for vehicle, solutions in published.items():
             self._write_states(vehicle, Solution.concatenate(solutions))
+        for vehicle, epochs in smoothed.items():
+            late = Smoothed.concatenate(epochs)
+            data = messages.encode_smoothed(late)
+            channel = self._channel(
+                vehicle, "nav/smoothed", "companion.NavState", late.solution.t_ns
+            )
+            self._file.rows(channel, late.solution.t_ns, data)
         for vehicle, rows in reports.items():
             joined = AidingReports.concatenate(rows)
             data = messages.encode_reports(joined)

@@ -90,8 +90,8 @@ T_COVARIANCE = 12  # grid cell of the last covariance step
 T_SNAPSHOT = 13  # grid cell of the last snapshot
 RESETS = 14  # declared resets so far
 T_CHECK = 15  # sample at which the last decision above the kernel was taken
-TAPE_AT = 16  # (4) where the smoother's tape stands, see tape.py
-INT_SIZE = 20
+TAPE_AT = 16  # (6) where the smoother's tape stands, see tape.py
+INT_SIZE = 22
 
 # --- error state
 POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12

@@ -14,6 +14,7 @@ from companion.types import NS, Event
 STATE = "nav/state"
 FIX = "nav/fix"
 ODOMETRY = "nav/odometry"
+SMOOTHED = "nav/smoothed"
 AIDING = "nav/aiding"
 EVENTS = "events"
 HEALTH = "health"
@@ -24,6 +25,7 @@ SCHEMAS = {
     STATE: "companion.NavState",
     FIX: "foxglove.LocationFix",
     ODOMETRY: "foxglove.Odometry",
+    SMOOTHED: "companion.NavState",
     AIDING: "companion.AidingReport",
     EVENTS: "foxglove.Log",
     HEALTH: "companion.Health",

@@ -6,6 +6,7 @@
 ``nav/state``             companion.NavState       ``zenoh.state_rate_hz`` at most; queryable
 ``nav/fix``               foxglove.LocationFix     10 Hz at most
 ``nav/odometry``          foxglove.Odometry        10 Hz at most, east-north-up of the first fix
+``nav/smoothed``           companion.NavState       with its lag; where ``[smoothing]`` is on
 ``nav/aiding``            companion.AidingReport   one a measurement
 ``events``                foxglove.Log             cached: who comes late gets the last 64
 ``health``                companion.Health         cached: who comes late gets the last one
@@ -78,6 +79,9 @@ class ZenohPublisher:
             self._drawn(outputs.published)
         if len(outputs.reports):
             self._reports(outputs.reports)
+        if len(outputs.smoothed):
+            for row in messages.encode_smoothed(outputs.smoothed):
+                self._put(payloads.SMOOTHED, row.tobytes())
         for event in outputs.events:
             self.event(event)
 
@@ -161,6 +165,7 @@ class ZenohPublisher:
                 (payloads.STATE, True),
                 (payloads.FIX, False),
                 (payloads.ODOMETRY, False),
+                (payloads.SMOOTHED, False),
                 (payloads.AIDING, False),
             )
         }

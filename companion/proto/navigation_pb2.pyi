@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Optional as _Op
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class NavState(_message.Message):
-    __slots__ = ("t_ns", "mode", "resets", "lat", "lon", "height", "vel_n", "q_nb", "accel_bias_b", "gyro_bias_b", "cov_pos", "cov_vel", "cov_att", "cov_accel_bias", "cov_gyro_bias", "sd_pos_m", "sd_vel_mps", "sd_att_deg", "roll_deg", "pitch_deg", "yaw_deg", "arrival_monotonic_ns")
+    __slots__ = ("t_ns", "mode", "resets", "lat", "lon", "height", "vel_n", "q_nb", "accel_bias_b", "gyro_bias_b", "cov_pos", "cov_vel", "cov_att", "cov_accel_bias", "cov_gyro_bias", "sd_pos_m", "sd_vel_mps", "sd_att_deg", "roll_deg", "pitch_deg", "yaw_deg", "arrival_monotonic_ns", "lag_s", "as_filtered")
     class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         ALIGNING: _ClassVar[NavState.Mode]
@@ -40,6 +40,8 @@ class NavState(_message.Message):
     PITCH_DEG_FIELD_NUMBER: _ClassVar[int]
     YAW_DEG_FIELD_NUMBER: _ClassVar[int]
     ARRIVAL_MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
+    LAG_S_FIELD_NUMBER: _ClassVar[int]
+    AS_FILTERED_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     mode: NavState.Mode
     resets: int
@@ -62,7 +64,9 @@ class NavState(_message.Message):
     pitch_deg: float
     yaw_deg: float
     arrival_monotonic_ns: int
-    def __init__(self, t_ns: _Optional[int] = ..., mode: _Optional[_Union[NavState.Mode, str]] = ..., resets: _Optional[int] = ..., lat: _Optional[float] = ..., lon: _Optional[float] = ..., height: _Optional[float] = ..., vel_n: _Optional[_Iterable[float]] = ..., q_nb: _Optional[_Iterable[float]] = ..., accel_bias_b: _Optional[_Iterable[float]] = ..., gyro_bias_b: _Optional[_Iterable[float]] = ..., cov_pos: _Optional[_Iterable[float]] = ..., cov_vel: _Optional[_Iterable[float]] = ..., cov_att: _Optional[_Iterable[float]] = ..., cov_accel_bias: _Optional[_Iterable[float]] = ..., cov_gyro_bias: _Optional[_Iterable[float]] = ..., sd_pos_m: _Optional[_Iterable[float]] = ..., sd_vel_mps: _Optional[_Iterable[float]] = ..., sd_att_deg: _Optional[_Iterable[float]] = ..., roll_deg: _Optional[float] = ..., pitch_deg: _Optional[float] = ..., yaw_deg: _Optional[float] = ..., arrival_monotonic_ns: _Optional[int] = ...) -> None: ...
+    lag_s: float
+    as_filtered: int
+    def __init__(self, t_ns: _Optional[int] = ..., mode: _Optional[_Union[NavState.Mode, str]] = ..., resets: _Optional[int] = ..., lat: _Optional[float] = ..., lon: _Optional[float] = ..., height: _Optional[float] = ..., vel_n: _Optional[_Iterable[float]] = ..., q_nb: _Optional[_Iterable[float]] = ..., accel_bias_b: _Optional[_Iterable[float]] = ..., gyro_bias_b: _Optional[_Iterable[float]] = ..., cov_pos: _Optional[_Iterable[float]] = ..., cov_vel: _Optional[_Iterable[float]] = ..., cov_att: _Optional[_Iterable[float]] = ..., cov_accel_bias: _Optional[_Iterable[float]] = ..., cov_gyro_bias: _Optional[_Iterable[float]] = ..., sd_pos_m: _Optional[_Iterable[float]] = ..., sd_vel_mps: _Optional[_Iterable[float]] = ..., sd_att_deg: _Optional[_Iterable[float]] = ..., roll_deg: _Optional[float] = ..., pitch_deg: _Optional[float] = ..., yaw_deg: _Optional[float] = ..., arrival_monotonic_ns: _Optional[int] = ..., lag_s: _Optional[float] = ..., as_filtered: _Optional[int] = ...) -> None: ...
 
 class SolutionBatch(_message.Message):
     __slots__ = ("source", "t_ns", "lat", "lon", "height", "vel_n", "q_nb", "accel_bias_b", "gyro_bias_b", "cov", "mode", "resets")

@@ -7,6 +7,7 @@ time is a run, and the log of a run, replayed, gives the same bits again.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -16,11 +17,15 @@ from companion.config import Config
 from companion.engine import Engine
 from companion.estimation.gnss_latency import GnssLatencyEstimator
 from companion.logbook import LogWriter
+from companion.outlet import NOTHING
 from companion.runtime.clock import Reading
 from companion.runtime.health import HealthMonitor
+from companion.runtime.smoothing_pace import SmoothingPace, Stopwatch
 from companion.selection import KINDS, Kind, Selection
 from companion.types import (
     NS,
+    SMOOTHING_GAVE_WAY,
+    SMOOTHING_RESUMED,
     AnySamples,
     Event,
     Health,
@@ -114,14 +119,18 @@ class Core:
         preferred: Mapping[Kind, Sequence[str]],
         publish: Callable[[Outputs], None],
         announce: Callable[[Event], None],
+        stopwatch: Stopwatch = lambda: 0,
     ) -> None:
         """``decoders`` by CAN link; ``preferred`` as for :class:`Selection`.
 
-        ``publish`` gets what each engine step gave out, ``announce`` every other event.
+        ``publish`` gets what each engine step gave out, ``announce`` every other event;
+        ``stopwatch`` tells how long a step takes, which decides whether the smoother gives way.
         """
         self.config = config
         self.vehicle = config.vehicle.name
         self.engine = Engine(config)
+        self._stopwatch = stopwatch
+        self.pace = SmoothingPace(config, start_ns)
         self._latency = GnssLatencyEstimator(config)
         self._writer = writer
         self._decoders = decoders
@@ -137,7 +146,7 @@ class Core:
         self._announce = announce
         self._raw = config.log.raw
         self._seq = 0
-        self.now_ns = start_ns
+        self.now_ns = self._start_ns = start_ns
         """Time of the latest arrival."""
         self._last_rx: dict[str, int] = {}
         self._checkpoint_ns = self._reference_ns = start_ns
@@ -187,6 +196,7 @@ class Core:
             self._drain_session(self._session)
         for event in self.monitor.tick(t):
             self.event(event)
+        self._pace_smoother(t)
         if t - self._reference_ns >= REFERENCE_NS:
             self._reference_ns = t
             self._write_references()
@@ -235,11 +245,40 @@ class Core:
         if len(self.selection.chosen) != self._chosen:
             self._note_choice()
         if fed is not None:
+            begin = self._stopwatch()
             out = self.engine.step(fed)
+            took = self._stopwatch() - begin
             self._give_out(out)
+            if isinstance(fed, ImuSamples) and self.engine.on_line.running is not None:
+                self.pace.filtered(took, len(fed))
+                self._smooth()
             self._latency.add(fed, out)
             for event in self._latency.events():
                 self.event(event)
+
+    def _smooth(self) -> None:
+        """What is due of the smoother, once the filter's own is on its way."""
+        begin = self._stopwatch()
+        out = self.engine.smooth()
+        self.pace.smoothed(self._stopwatch() - begin, int(out.smoothed.smoothed.sum()))
+        if out is not NOTHING:
+            self._give_out(out)
+
+    def _pace_smoother(self, now_ns: int) -> None:
+        """Let the smoother give way where the process does not keep up with it."""
+        smoother, reached = self.engine.on_line.running, self.engine.reached_ns
+        if smoother is None or reached is None:
+            return
+        decision = self.pace.tick(now_ns)
+        # From the next sample on: windows that end there are not due yet, here or in a replay.
+        since = reached + 1
+        if decision == "give-way":
+            smoother.give_way(since)
+            text = f"filter and smoother took {self.pace.load:.0%} of a core: no smoothing for now"
+            self.event(Event(since, SMOOTHING_GAVE_WAY, text, "warning"))
+        elif decision == "resume":
+            smoother.resume(since)
+            self.event(Event(since, SMOOTHING_RESUMED, "there is room again: smoothing goes on"))
 
     def _give_out(self, out: Outputs) -> None:
         if len(out.published):
@@ -299,11 +338,27 @@ class Core:
             if name != "refused"
         }
         out |= {f"engine.refused.{name}": count for name, count in engine.refused.items()}
+        out |= self._smoothing_counters()
         for source, decoder in self._by_source.items():
             out |= {f"{source}.{name}": n for name, n in asdict(decoder.counters).items()}
         if self._session is not None:
             out |= {f"mavlink.{name}": n for name, n in asdict(self._session.counters).items()}
         return out
+
+    def _smoothing_counters(self) -> dict[str, int]:
+        """What came of the smoother, what it took, and the output rate that it could keep up."""
+        smoother = self.engine.on_line.running
+        if smoother is None:
+            return {}
+        interval_s = smoother.covered_ns / max(smoother.intervals, 1) / NS
+        bound = self.pace.rate_bound_hz(self.now_ns - self._start_ns, interval_s)
+        return {
+            "smoothing.epochs": smoother.smoothed,
+            "smoothing.as_filtered": smoother.filtered,
+            "smoothing.failures": smoother.failures,
+            **self.pace.counters(),
+            **({"smoothing.rate_bound_hz": round(bound)} if math.isfinite(bound) else {}),
+        }
 
     def _driver_counts(self, source: str) -> tuple[int, int]:
         decoder = self._by_source.get(source)
@@ -317,10 +372,12 @@ class Core:
     def finish(self) -> dict[str, Any]:
         """End the run: settle the engine; what the log is closed with."""
         self._give_out(self.engine.finish())
+        self._give_out(self.engine.smooth())
         self._write_references()
         return {
             "digest": self.engine.digest,
             "digest_published": self.engine.digest_published,
+            "digest_smoothed": self.engine.digest_smoothed,
             "counters": self.counters(),
             "inputs": [c._asdict() for c in self.selection.chosen],
         }

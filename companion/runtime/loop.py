@@ -104,9 +104,11 @@ class Loop:
 
     def publish(self, out: Outputs) -> None:
         """What an engine step gave out, to everybody, and how long it took since the arrival."""
-        if len(out.published) or len(out.reports) or out.events:
+        if len(out.published) or len(out.reports) or len(out.smoothed) or out.events:
             for publisher in self._p.publishers:
                 publisher.publish(out, self._arrival_ns)
+        if len(out.smoothed):
+            return  # late by design
         self.latencies.add(self._p.clock.read().monotonic - self._arrival_ns)
 
     def announce(self, event: Event) -> None:

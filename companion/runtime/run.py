@@ -121,6 +121,7 @@ def _assembled(
         preferred=PREFERRED,
         publish=loop.publish,
         announce=loop.announce,
+        stopwatch=time.perf_counter_ns,
     )
     return parts, core, loop, writer
 

@@ -18,7 +18,7 @@ from replay.simulator import load_scenario, matching_config, simulate
 _LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def _flight(name: str, heading: str = "auto") -> tuple[VehicleRecording, Config]:
+def flight_of(name: str, heading: str = "auto") -> tuple[VehicleRecording, Config]:
     scenario = load_scenario(name)
     config = matching_config(scenario)
     # A tilted mounting, so that the turn into body axes is part of what must not change.
@@ -34,10 +34,10 @@ def _flight(name: str, heading: str = "auto") -> tuple[VehicleRecording, Config]
 @pytest.fixture(scope="module", params=["multirotor-mission", "car-with-stops"])
 def flight(request: pytest.FixtureRequest) -> tuple[VehicleRecording, Config]:
     """A flight and a drive whose heading is found on the way: every phase of the filter."""
-    return _flight(request.param, "unknown")
+    return flight_of(request.param, "unknown")
 
 
-def _with_arrivals(
+def with_arrivals(
     vehicle: VehicleRecording, late: Callable[[np.ndarray], np.ndarray]
 ) -> VehicleRecording:
     """The same samples, aiding delivered ``late`` (validity ns → arrival ns), numbered anew."""
@@ -75,10 +75,10 @@ def test_late_and_out_of_order_aiding_settles_to_the_same_bits(
     flight: tuple[VehicleRecording, Config], seed: int
 ) -> None:
     vehicle, config = flight
-    prompt = play(_with_arrivals(vehicle, lambda t: t), config)
+    prompt = play(with_arrivals(vehicle, lambda t: t), config)
     rng = np.random.default_rng(seed)
     delayed = play(
-        _with_arrivals(vehicle, lambda t: t + rng.integers(0, 400_000_000, len(t))), config
+        with_arrivals(vehicle, lambda t: t + rng.integers(0, 400_000_000, len(t))), config
     )
     assert delayed.counters.late_fused > 100
     assert delayed.counters.refused.get("refused_late", 0) == 0
@@ -124,7 +124,7 @@ def test_what_is_published_uses_only_what_had_arrived(
     flight: tuple[VehicleRecording, Config],
 ) -> None:
     vehicle, config = flight
-    late = _with_arrivals(vehicle, lambda t: t + 300_000_000)
+    late = with_arrivals(vehicle, lambda t: t + 300_000_000)
     cut = int(len(late.imu[0]) * 0.6)
     seq = int(late.imu[0].seq[cut])
     early = replace(

@@ -79,7 +79,7 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
     run_s0, P0 = s.copy(), P.copy()
     kinds = np.zeros(10_000, np.int8)
     coarse, fine = np.zeros(400_000, np.float32), np.zeros(400_000)
-    at = np.array([0, 0, 0, 1], np.int64)
+    at = np.array([0, 0, 0, tp.WITH_COVARIANCE, 0, 0], np.int64)
     tape = (kinds, coarse, fine, at)
     # the joint Gaussian of the states at all instants, grown as the run goes on
     mean, joint = np.zeros(n), np.diag(sd**2)
@@ -143,7 +143,7 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
             tp.record_fade(tape, square)
             P *= square
             faded *= square
-        tp.record_row(tape, s, lay)
+        tp.record_row(tape, s, lay, 0, s[:1])
         fade_at.append(faded)
         row_at.append(now)
         rows.append(x.copy())

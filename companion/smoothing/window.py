@@ -1,0 +1,194 @@
+"""Bryson-Frazier over the last few update intervals of a running tape.
+
+    δx = −P λ̂ ,   P_s = P − P Λ̂ P
+
+with λ and Λ zero at the newest fix, taken back to the oldest interval (see bryson_frazier.py for
+the recursions). The rows of that interval hold P, so nothing else has to be walked.
+
+Duong & Chiang 2012, section 3 (there with RTS): smoothing from each update back over ``n_up``
+intervals, given out in forward order of time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from companion.estimation.covariance import STRIDE
+from companion.estimation.tape import (
+    C_STEP,
+    COARSE,
+    F32,
+    F_FADE,
+    F_GAIN,
+    F_R,
+    F_STEP,
+    F_STEP_WITH_SCALE,
+    F_TIME,
+    F_TURN,
+    F_Y,
+    FADE,
+    FINE,
+    FIX,
+    FULL_ROW,
+    I8,
+    KIND,
+    PLAIN_ROW,
+    STEP,
+    TURN,
+    UPDATE,
+    read_h,
+    read_step,
+    read_time,
+)
+from companion.estimation.walk import O_COV, ROW_SIZE
+from companion.navigation.error_model import transition_blocks
+from companion.navigation.layout import L_ACCEL_SCALE, L_N
+from companion.smoothing.composite import (
+    LAM,
+    WIDTH,
+    begin,
+    flush,
+    smoothed_blocks,
+    step_back,
+    turn_back,
+    update_back,
+)
+from companion.smoothing.correction import correct
+from companion.smoothing.transition import decay_factors
+from companion.types import F64, I64, Flags
+
+BROKEN = -1
+
+
+@njit("i8(i8, i8, i8)", cache=True)
+def numbers_of(kind: int, n: int, step: int) -> int:
+    """How many numbers a record has in ``fine``; ``step`` those of a step."""
+    if kind == STEP:
+        return step
+    if kind >= UPDATE:
+        return int(F_GAIN + n + kind - UPDATE)
+    if kind == TURN:
+        return F_TURN
+    if kind == FADE:
+        return F_FADE
+    if kind == FIX:
+        return F_TIME
+    return int(F_TIME + ROW_SIZE + (n * (n + 1) // 2 if kind == FULL_ROW else 0))
+
+
+@njit("void(f8[::1], i8, i8, f8[:, ::1], i8[::1], i8)", cache=True)
+def copy_row(record: F64, at: int, row: int, rows: F64, t: I64, size: int) -> None:
+    """Row number ``row`` of the output from a record that lies at ``at``."""
+    t[row] = read_time(record[at:])
+    for j in range(size):
+        rows[row, j] = record[at + F_TIME + j]
+
+
+@njit("b1(f8[::1])", cache=True)
+def _sound(row: F64) -> bool:
+    """Whether everything in an output row is finite and no variance negative."""
+    for i in range(O_COV + 30):
+        if not abs(row[i]) < 1e30:
+            return False
+    for block in range(5):
+        at = O_COV + 6 * block
+        if not (row[at] >= 0.0 and row[at + 3] >= 0.0 and row[at + 5] >= 0.0):
+            return False
+    return True
+
+
+@njit(
+    "i8(i1[::1], f4[::1], f8[::1], i8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], i8[::1],"
+    "f8[:, ::1], b1[::1])",
+    cache=True,
+)
+def smooth_window(
+    kinds: I8,
+    coarse: F32,
+    fine: F64,
+    a: I64,
+    b: I64,
+    c: I64,
+    lay: I64,
+    par: F64,
+    s: F64,
+    t: I64,
+    rows: F64,
+    smoothed: Flags,
+) -> int:
+    """Smooth the rows between ``a`` and ``b`` from everything up to ``c``, positions on the tape.
+
+    Exactly the rows there are filled: times ``t`` (N,), output ``rows`` (N, ROW_SIZE), and which of
+    them are ``smoothed`` (N,), the others being the filter's. ``s`` is scratch with the Earth's
+    rate in place. :data:`BROKEN` where something is not finite or a variance not positive: then
+    the rows are of no use.
+    """
+    n = lay[L_N]
+    step = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    B = np.empty((24, 3, 3))
+    d, w, dx, D = np.empty(n), np.empty(n), np.empty((1, n)), np.ones(n)
+    X, Y = np.zeros(n * WIDTH), np.empty(9 * WIDTH)
+    Lam, U = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
+    V, P = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
+    begin(X, n)
+    pending = False
+    at_c, f, row = c[COARSE], c[FINE], t.shape[0]
+    for i in range(c[KIND] - 1, a[KIND] - 1, -1):
+        kind = kinds[i]
+        f -= numbers_of(kind, n, step)
+        if kind == STEP:
+            at_c -= C_STEP
+            read_step(coarse[at_c : at_c + C_STEP], fine[f : f + step], s)
+            transition_blocks(s, B)
+            decay_factors(float(fine[f]), lay, par, d)
+            step_back(B, lay, d, X, D, Y)
+            pending = True
+            continue
+        if kind == FIX or (kind < 0 and i >= b[KIND]):
+            continue
+        if kind == PLAIN_ROW:
+            row -= 1
+            copy_row(fine, f, row, rows, t, ROW_SIZE)
+            smoothed[row] = False
+            continue
+        if pending:
+            flush(X, D, Lam, n, U, V)
+            pending = False
+        if kind >= UPDATE:
+            r = fine[f + F_R]
+            g = r * fine[f + F_Y]
+            for j in range(n):
+                g += fine[f + F_GAIN + j] * X[j * WIDTH + LAM]
+            g *= r
+            read_h(fine[f:], n, d)
+            for j in range(n):
+                X[j * WIDTH + LAM] -= d[j] * g
+            update_back(Lam, d, fine[f + F_GAIN : f + F_GAIN + n], r, n, w)
+        elif kind == FADE:
+            for j in range(n):
+                X[j * WIDTH + LAM] *= fine[f]
+            for j in range(n * STRIDE):
+                Lam[j] *= fine[f]
+        elif kind == TURN:
+            turn_back(Lam, X, fine[f : f + F_TURN], n)
+        else:
+            row -= 1
+            copy_row(fine, f, row, rows, t, ROW_SIZE)
+            at = f + F_TIME + ROW_SIZE
+            for j in range(n):
+                for k in range(j, n):
+                    P[j * STRIDE + k] = P[k * STRIDE + j] = fine[at]
+                    at += 1
+            for j in range(n):
+                dx[0, j] = 0.0
+            for k in range(n):
+                g = X[k * WIDTH + LAM]
+                for j in range(n):
+                    dx[0, j] -= g * P[k * STRIDE + j]
+            correct(rows[row : row + 1], dx, lay)
+            smoothed_blocks(P, Lam, n, V, rows[row, O_COV : O_COV + 30])
+            smoothed[row] = True
+            if not _sound(rows[row]):
+                return BROKEN
+    return int(row)
