@@ -40,6 +40,7 @@ from companion.types import (
     AidingReports,
     AidingSamples,
     AnySamples,
+    Channel,
     Event,
     GnssSamples,
     ImuSamples,
@@ -55,8 +56,10 @@ WAITING_NS = 60 * NS
 KEEP_NS = 6 * NS
 """Aids kept behind the ring, for realignment and relocking."""
 
-_KIND_OF_CHANNEL = np.array([0, 0, 0, 0, 1, 2, 0, -1, -1, -1])
+_KIND_OF_CHANNEL = np.full(max(Channel) + 1, -1)
 """Kind of aid (``walk.KIND_``) behind each channel; −1 for constraints."""
+_KIND_OF_CHANNEL[:7] = 0, 0, 0, 0, w.KIND_BARO, w.KIND_MAG, w.KIND_GNSS
+_KIND_OF_CHANNEL[[Channel.SOURCE_H, Channel.SOURCE_V]] = w.KIND_GNSS
 
 
 class Engine:

@@ -370,6 +370,11 @@ class Channel(IntEnum):
     ZERO_VELOCITY = 7
     ZERO_RATE = 8
     NON_HOLONOMIC = 9
+    SOURCE_H = 16
+    """Not a measurement: how far GNSS position is off what its velocities make of it, once a second
+    (estimation/source_faults.py)."""
+    SOURCE_V = 17
+    """The same for its height."""
 
 
 class Verdict(IntEnum):
@@ -388,6 +393,10 @@ class Verdict(IntEnum):
     """There is no solution yet to compare it with."""
     REFUSED_CLOCK = 6
     """Its time of validity cannot be right (far in the future)."""
+    REJECTED_SOURCE = 7
+    """The source contradicts itself, or has long disagreed: none of it is used."""
+    REJECTED_UNCONFIRMED = 8
+    """First after a gap: waits for others that agree with it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from companion.config.estimator import (
     Imu,
     Mag,
     Smoothing,
+    SourceFaults,
     Vehicle,
 )
 from companion.config.live import (
@@ -65,6 +66,7 @@ __all__ = [
     "Mavlink",
     "RawGnss",
     "Smoothing",
+    "SourceFaults",
     "ToAutopilot",
     "Vehicle",
     "Zenoh",
@@ -91,6 +93,7 @@ class Config(Section):
     engine: EngineConfig = EngineConfig()
     adaptation: Adaptation = Adaptation()
     smoothing: Smoothing = Smoothing()
+    source_faults: SourceFaults = SourceFaults()
     can: tuple[CanBus, ...] = ()
     mavlink: Mavlink = Mavlink()
     zenoh: Zenoh = Zenoh()

@@ -158,8 +158,18 @@ class EngineConfig(Section):
     diverged_position_sd_m: float = 5000.0
     """Beyond it the solution is worthless: declared reset at the next fix."""
     gate_relock_s: float = 10.0
-    """Position aiding rejected by the gate for this long: declared reset of position and
-    velocity to several mutually consistent fixes."""
+    """Position aiding rejected by the gate for this long: declared reset of position and velocity
+    to several mutually consistent fixes. Where velocity fits, ``source_faults.patience_s``."""
+
+
+class SourceFaults(Section):
+    """Positions that contradict the velocities of the receiver they come from."""
+
+    detect: bool = True
+    """Step or drift of position alone: none of it is fused until it agrees again."""
+    patience_s: float = 60.0
+    """A faulty source that has told one place for this long (or for as long as it had been good, if
+    that is shorter) is believed in the end; at least ``engine.gate_relock_s``."""
 
 
 class Smoothing(Section):

@@ -10,6 +10,7 @@ from companion.config import DEG
 from companion.estimation import walk as w
 from companion.estimation.phases import Check, Filter, Phase, Setup
 from companion.estimation.recording import Tape
+from companion.estimation.source_faults import forget
 from companion.navigation import layout as lo
 from companion.navigation.rotation import rotate_nav, rpy_from_quat
 from companion.types import F64, I64, NS, Event, Mode
@@ -52,6 +53,7 @@ def find_heading(setup: Setup, phase: Phase, t: int) -> tuple[Phase, Event] | No
     P = setup.covariance(s)
     P[8, 8] = max(P[8, 8], sd * sd)
     s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = s[lo.VELOCITY_FIT] = 0.0
+    forget(s, k)
     if f.tape is None:
         found = setup.new_filter(s, k)
     else:

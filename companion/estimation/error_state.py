@@ -135,7 +135,7 @@ class ErrorStateFilter:
         if ip[par.CONSTRAINT_NS]:
             constraints += span // int(ip[par.CONSTRAINT_NS]) + 2
         # At most three a sample, however far apart their stamps are.
-        n_reports = 5 * m + min(constraints, 3 * (stop - i))
+        n_reports = 7 * m + min(constraints, 3 * (stop - i))
         n_steps = m + n_reports + span // int(ip[par.COVARIANCE_NS]) + 2
         best = phase.checks[-1].best
         since = int(phase.filters[best].k[lo.T_NOW])
@@ -214,4 +214,7 @@ class ErrorStateFilter:
         if P[0, 0] + P[1, 1] > self.setup.par[par.DIVERGED_VAR]:
             self._reset(t + 1, "diverged", "position uncertainty beyond use: realigning")
         else:
-            self._enter(recovery.recover(self.setup, phase, t, aids))
+            change, events = recovery.decide(self.setup, phase, t, aids)
+            if change is not None:
+                self.phases.append(change)
+            self.events.extend(events)

@@ -64,8 +64,10 @@ SIZE = ADAPTATION_AT + ADAPTATION_SIZE
     BASE_MODE,  # Mode to report while aided
     RELOCK_NS,
     ADAPTATION,  # code of the method, see adaptation/layout.py
+    SOURCE_FAULTS,
+    PATIENCE_NS,
     INT_SIZE,
-) = range(15)
+) = range(17)
 
 
 def parameter_vector(config: Config) -> F64:
@@ -117,6 +119,8 @@ def integer_vector(config: Config) -> I64:
     k[COURSE] = aid.course
     k[GAP_NS] = round(engine.imu_gap_bridge_s * NS)
     k[RELOCK_NS] = round(engine.gate_relock_s * NS)
+    k[SOURCE_FAULTS] = config.source_faults.detect
+    k[PATIENCE_NS] = round(config.source_faults.patience_s * NS)
     k[COASTING_NS] = round(engine.coasting_after_s * NS)
     k[ADAPTATION] = method_code(config.adaptation)
     return k

@@ -96,7 +96,7 @@ def reset_covariance(P: F64, dx: F64, n: int) -> None:
 
 
 @njit(
-    "b1(f8[::1], i8[::1], f8[::1], i8[::1], i8, i8, f8[:, ::1], f8[::1], f8[::1], i8,"
+    "b1(f8[::1], i8[::1], f8[::1], i8[::1], i8, i8, f8, f8[:, ::1], f8[::1], f8[::1], i8,"
     f"f8[:, ::1], f8[::1], {RECORDER})",
     cache=True,
 )
@@ -107,6 +107,7 @@ def fuse(
     ipar: I64,
     channel: int,
     source: int,
+    barred: float,
     H: F64,
     y: F64,
     R: F64,
@@ -117,8 +118,9 @@ def fuse(
 ) -> bool:
     """Gate ``m`` components (``H`` (3, n), ``y`` (3,), variances ``R`` (3,)) and apply them.
 
-    Fills ``report`` and returns whether the measurement was accepted. ``W`` (≥ 9, n) is scratch,
-    ``tape`` what a smoother reads later.
+    ``barred`` is the verdict on a measurement that is not to be used whatever its innovation, 0 for
+    none. Fills ``report`` and returns whether the measurement was accepted. ``W`` (≥ 9, n) is
+    scratch, ``tape`` what a smoother reads later.
     """
     n = lay[L_N]
     P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
@@ -149,7 +151,7 @@ def fuse(
     gate = par[GATE + m - 1]
     scale = 1.0
     report[R_TRACE + TRACED] = 0.0
-    if nis >= 0.0 and adapts(ipar, channel):
+    if nis >= 0.0 and barred == ACCEPTED and adapts(ipar, channel):
         trace = report[R_TRACE : R_TRACE + TRACE_SIZE]
         scale = adapt(s, par, ipar, channel, m, y, L[3], foreseen, R, nis, gate, trace)
         if scale != 1.0:
@@ -163,6 +165,9 @@ def fuse(
     report[R_NIS], report[R_GATE], report[R_SCALE_USED] = nis, gate, scale
     if not nis >= 0.0:
         report[R_VERDICT] = REFUSED_INVALID
+        return False
+    if barred != ACCEPTED:
+        report[R_VERDICT] = barred
         return False
     if channel == VELOCITY_H:
         s[VELOCITY_FIT] += (min(nis, WINSOR) / m - s[VELOCITY_FIT]) / FIT_UPDATES

@@ -31,7 +31,6 @@ from companion.estimation.parameters import (
     NHC_LEVER,
     NHC_VAR,
     OUTPUT_NS,
-    RELOCK_NS,
     SNAPSHOT_NS,
     STILL_ACCEL,
     STILL_GYRO,
@@ -41,8 +40,9 @@ from companion.estimation.parameters import (
     ZERO_VELOCITY,
     ZUPT_VAR,
 )
+from companion.estimation.source_faults import report_source, settle, undecided, weigh
 from companion.estimation.tape import RECORDER, Recorder, record_fix, record_row, record_step
-from companion.estimation.update import fuse
+from companion.estimation.update import R_VERDICT, fuse
 from companion.measurements.barometer import height
 from companion.measurements.gnss import position, velocity
 from companion.measurements.heading import direction
@@ -74,7 +74,6 @@ from companion.navigation.layout import (
     T_NOW,
     T_OUTPUT,
     T_POSITION_AID,
-    T_REJECT,
     T_SNAPSHOT,
     T_VELOCITY_AID,
     VEL_N,
@@ -182,18 +181,22 @@ def fuse_gnss(
             y[0] = y[2]
             for j in range(n):
                 H[0, j] = H[2, j]
-        good = fuse(s, lay, par, ipar, half, source, H, y, R, m, W, reports[count], tape)
+        barred = 0.0
+        if half < 2 and ipar[BANK] == 0:
+            barred = weigh(s, k, lay, par, ipar, half, y, R, t)
+        good = fuse(s, lay, par, ipar, half, source, barred, H, y, R, m, W, reports[count], tape)
         reports_t[count] = t
         count += 1
         taken |= good
-        if half == 0:
-            if good:
-                k[T_POSITION_AID] = t
-                k[T_REJECT] = 0
-            elif k[T_REJECT] == 0:
-                k[T_REJECT] = t
+        if half == 0 and good:
+            k[T_POSITION_AID] = t
         elif half == 2 and good:
             k[T_VELOCITY_AID] = t
+        if half < 2 and ipar[BANK] == 0:
+            settle(s, k, lay, half, W[3], t, reports[count - 1, R_VERDICT])
+            if report_source(s, k, half, source, t, reports[count]):
+                reports_t[count] = t
+                count += 1
     if (
         ipar[COURSE] == 1
         and ipar[BANK] == 0
@@ -208,7 +211,7 @@ def fuse_gnss(
             R[0] = par[COURSE_VAR] + z[A_VAR_VELOCITY] / (
                 s[GNSS_GROUND_SPEED] * s[GNSS_GROUND_SPEED]
             )
-            fuse(s, lay, par, ipar, _COURSE, source, H, y, R, 1, W, reports[count], tape)
+            fuse(s, lay, par, ipar, _COURSE, source, 0.0, H, y, R, 1, W, reports[count], tape)
             reports_t[count] = t
             count += 1
     after_fix(s, lay, ipar, tape)
@@ -257,7 +260,7 @@ def fuse_aid(
         quat_to_matrix(s, C)
         if not direction(lay, C, z[A_VALUE], z[A_VALUE + 1], z[A_VALUE + 2], z[A_AZIMUTH], H, y):
             return count
-    fuse(s, lay, par, ipar, channel, kind[1], H, y, R, 1, W, reports[count], tape)
+    fuse(s, lay, par, ipar, channel, kind[1], 0.0, H, y, R, 1, W, reports[count], tape)
     reports_t[count] = t
     return count + 1
 
@@ -289,7 +292,7 @@ def fuse_constraints(
         for i in range(3):
             R[i] = par[ZUPT_VAR]
         zero_velocity(s, lay, H, y)
-        good = fuse(s, lay, par, ipar, _ZUPT, 0, H, y, R, 3, W, reports[count], tape)
+        good = fuse(s, lay, par, ipar, _ZUPT, 0, 0.0, H, y, R, 3, W, reports[count], tape)
         reports_t[count] = t
         count += 1
         if good:
@@ -298,7 +301,7 @@ def fuse_constraints(
             R[i] = par[ZARU_VAR]
         quat_to_matrix(s, C)
         zero_rate(s, k, lay, C, H, y)
-        fuse(s, lay, par, ipar, _ZARU, 0, H, y, R, 3, W, reports[count], tape)
+        fuse(s, lay, par, ipar, _ZARU, 0, 0.0, H, y, R, 3, W, reports[count], tape)
         reports_t[count] = t
         count += 1
     if ipar[CONSTRAINT_NS] > 0 and t // ipar[CONSTRAINT_NS] != k[T_CONSTRAINT]:
@@ -307,7 +310,7 @@ def fuse_constraints(
             R[0] = R[1] = par[NHC_VAR]
             quat_to_matrix(s, C)
             sideways(s, lay, C, par[NHC_LEVER], par[NHC_LEVER + 1], par[NHC_LEVER + 2], H, y)
-            fuse(s, lay, par, ipar, _NHC, 0, H, y, R, 2, W, reports[count], tape)
+            fuse(s, lay, par, ipar, _NHC, 0, 0.0, H, y, R, 2, W, reports[count], tape)
             reports_t[count] = t
             count += 1
     return count
@@ -379,13 +382,13 @@ def _step(
     k[T_NOW] = t
 
 
-@njit("b1(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1])", cache=True)
-def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
-    """Whether a decision above the kernel is due: diverged, locked out, or velocity never fits."""
+@njit("b1(f8[::1], i8[::1], i8[::1], f8[::1])", cache=True)
+def doubtful(s: F64, k: I64, lay: I64, par: F64) -> bool:
+    """Whether a decision above the kernel is due: diverged, velocity never fits, source news."""
     n = lay[L_N]
     if s[P_OFFSET] + s[P_OFFSET + n + 1] > par[DIVERGED_VAR]:
         return True
-    if k[T_REJECT] > 0 and k[T_IMU] - k[T_REJECT] > ipar[RELOCK_NS]:
+    if undecided(k):
         return True
     return bool(s[VELOCITY_FIT] > LOST_FIT)
 
@@ -447,7 +450,7 @@ def walk(
         if (
             t >= check_ns
             and k[T_CHECK] != k[T_IMU]
-            and (ipar[BANK] == 1 or doubtful(s, k, lay, par, ipar))
+            and (ipar[BANK] == 1 or doubtful(s, k, lay, par))
         ):
             code = STOP_CHECK
             break

@@ -62,8 +62,11 @@ GYRO_VIBRATION = VIBRATION + 1  # (3) variance of rate, axis by axis, likewise [
 VELOCITY_FIT = VIBRATION + 4  # NIS per component of horizontal velocity, running mean
 BANK_NIS = VIBRATION + 5  # sum of capped NIS over what the bank competes on
 BANK_DOF = VIBRATION + 6  # and of its components
+# --- what is known of the position source, horizontal and vertical (see source_faults.py)
+SOURCE = VIBRATION + 7
+SOURCE_SIZE = 17
 # --- adaptation: what is in force, and what it is drawn from (see estimation/adaptation)
-R_SCALE = VIBRATION + 7  # factor on R, one a channel
+R_SCALE = SOURCE + 2 * SOURCE_SIZE  # factor on R, one a channel
 CHANNELS = 10
 Q_SCALE = R_SCALE + CHANNELS  # factor on the noise of the inertial unit
 ALPHA = Q_SCALE + 1  # exponential weight of the running epoch of aiding
@@ -85,13 +88,14 @@ T_CONSTRAINT = 7  # grid cell of the last non-holonomic update
 STANDING = 8  # detector's verdict
 STILL_COUNT = 9  # full sub-blocks in the ring
 STILL_CELL = 10  # grid cell of the running sub-block
-T_REJECT = 11  # since when position aiding has been rejected without a break; 0 none
-T_COVARIANCE = 12  # grid cell of the last covariance step
-T_SNAPSHOT = 13  # grid cell of the last snapshot
-RESETS = 14  # declared resets so far
-T_CHECK = 15  # sample at which the last decision above the kernel was taken
-TAPE_AT = 16  # (6) where the smoother's tape stands, see tape.py
-INT_SIZE = 22
+T_COVARIANCE = 11  # grid cell of the last covariance step
+T_SNAPSHOT = 12  # grid cell of the last snapshot
+RESETS = 13  # declared resets so far
+T_CHECK = 14  # sample at which the last decision above the kernel was taken
+TAPE_AT = 15  # (6) where the smoother's tape stands, see tape.py
+SOURCE_K = 21  # as SOURCE
+SOURCE_INTS = 10
+INT_SIZE = SOURCE_K + 2 * SOURCE_INTS
 
 # --- error state
 POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12

@@ -110,6 +110,8 @@ class AidingReport(_message.Message):
         ZERO_VELOCITY: _ClassVar[AidingReport.Channel]
         ZERO_RATE: _ClassVar[AidingReport.Channel]
         NON_HOLONOMIC: _ClassVar[AidingReport.Channel]
+        SOURCE_H: _ClassVar[AidingReport.Channel]
+        SOURCE_V: _ClassVar[AidingReport.Channel]
     GNSS_POSITION_H: AidingReport.Channel
     GNSS_POSITION_V: AidingReport.Channel
     GNSS_VELOCITY_H: AidingReport.Channel
@@ -120,6 +122,8 @@ class AidingReport(_message.Message):
     ZERO_VELOCITY: AidingReport.Channel
     ZERO_RATE: AidingReport.Channel
     NON_HOLONOMIC: AidingReport.Channel
+    SOURCE_H: AidingReport.Channel
+    SOURCE_V: AidingReport.Channel
     class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         ACCEPTED: _ClassVar[AidingReport.Verdict]
@@ -129,6 +133,8 @@ class AidingReport(_message.Message):
         REFUSED_INVALID: _ClassVar[AidingReport.Verdict]
         REFUSED_NOT_ALIGNED: _ClassVar[AidingReport.Verdict]
         REFUSED_CLOCK: _ClassVar[AidingReport.Verdict]
+        REJECTED_SOURCE: _ClassVar[AidingReport.Verdict]
+        REJECTED_UNCONFIRMED: _ClassVar[AidingReport.Verdict]
     ACCEPTED: AidingReport.Verdict
     REJECTED_GATE: AidingReport.Verdict
     REFUSED_LATE: AidingReport.Verdict
@@ -136,6 +142,8 @@ class AidingReport(_message.Message):
     REFUSED_INVALID: AidingReport.Verdict
     REFUSED_NOT_ALIGNED: AidingReport.Verdict
     REFUSED_CLOCK: AidingReport.Verdict
+    REJECTED_SOURCE: AidingReport.Verdict
+    REJECTED_UNCONFIRMED: AidingReport.Verdict
     T_NS_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
     VERDICT_FIELD_NUMBER: _ClassVar[int]

@@ -80,7 +80,7 @@ def test_a_clock_that_jumps_back_restarts_the_estimator(drive: Simulation) -> No
     assert flown.solution.resets[-1] == 1
 
 
-def test_a_position_jump_that_stays_is_relocked_after_being_refused() -> None:
+def test_a_position_jump_that_stays_is_believed_once_it_has_told_one_place_for_long() -> None:
     fault = Fault(start_s=30.0, length_s=100.0, step_n_m=(400.0, 300.0, 0.0))
     scenario = runs.honest("car-with-stops", 70.0, faults=(fault,))
     sim = runs.run(scenario, 3)
@@ -88,7 +88,8 @@ def test_a_position_jump_that_stays_is_relocked_after_being_refused() -> None:
     relocked = flown.event("relocked")
     assert relocked is not None
     seconds = (relocked.t_ns - sim.t0_ns) / NS
-    assert 40.0 <= seconds <= 42.0
+    # A fault after 2 s, then for as long as the source had been good before: half a minute.
+    assert 60.0 <= seconds <= 64.0
     t = (flown.solution.t_ns - sim.t0_ns) / NS
     error = np.linalg.norm(runs.errors(sim, flown.solution)[:, 0, :2], axis=1)
     # Before: the fault is kept out. After: the solution is where the fixes are, 500 m away.

@@ -132,7 +132,7 @@ def test_covariance_stays_with_extended_precision(
                 H[range(3), range(layout.gnss, layout.gnss + 3)] = 1.0
             R = np.full(3, sd_measured**2)
             cancelled = max(cancelled, float(np.max(np.diag(P)[:3] / R)))
-            assert up.fuse(s, lay, p, ip, 0, 0, H, np.zeros(3), R.copy(), 3, W, report, tape)
+            assert up.fuse(s, lay, p, ip, 0, 0, 0.0, H, np.zeros(3), R.copy(), 3, W, report, tape)
             exact = _joseph(exact, H, R)
         if epoch % 50 == 0 or epoch < 20:
             sd = np.sqrt(np.diag(exact).astype(np.float64))

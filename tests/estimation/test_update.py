@@ -33,7 +33,7 @@ def _fuse(
     full[:m], innovation[:m], variance[:m] = H, y, R
     report = np.zeros(up.REPORT_SIZE)
     good = up.fuse(
-        s, layout.vector(), par.parameter_vector(config), par.integer_vector(config), 0, 0,
+        s, layout.vector(), par.parameter_vector(config), par.integer_vector(config), 0, 0, 0.0,
         full, innovation, variance, m, np.empty((9 + layout.n, layout.n)), report,
         nothing(np.zeros(lo.INT_SIZE, np.int64)),
     )  # fmt: skip
@@ -141,7 +141,7 @@ _NO_TAPE = nothing(np.zeros(lo.INT_SIZE, np.int64))
 
 def _fuse_quick(s: F64, h: F64, R: float) -> None:
     _H[0], _R[0] = h, R
-    assert up.fuse(s, _LAY, _PAR, _IPAR, 0, 0, _H, _Y, _R, 1, _W, _REPORT, _NO_TAPE)
+    assert up.fuse(s, _LAY, _PAR, _IPAR, 0, 0, 0.0, _H, _Y, _R, 1, _W, _REPORT, _NO_TAPE)
 
 
 @settings(max_examples=50, deadline=None)
