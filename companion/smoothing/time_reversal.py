@@ -15,6 +15,7 @@ import numpy as np
 
 from companion.estimation import parameters as par
 from companion.estimation import walk as w
+from companion.estimation.source_faults import forget
 from companion.estimation.stretch import Block
 from companion.navigation import layout as lo
 from companion.types import F64, I64
@@ -84,7 +85,8 @@ def reversed_state(s: F64, k: I64, n: int, ipar: I64, mirror: Mirror) -> tuple[F
     """A forward filter's state as the start of a run backwards; P is the same but for signs.
 
     What was learned of the sensors (vibration, spread at rest, adaptive scales) is kept; what is
-    under way (interval sums, standstill window, windows of innovations) begins anew.
+    under way (interval sums, standstill window, windows of innovations, the shadow that sources are
+    held against) begins anew.
     """
     s, k = s.copy(), k.copy()
     turn_around(s)
@@ -95,13 +97,14 @@ def reversed_state(s: F64, k: I64, n: int, ipar: I64, mirror: Mirror) -> tuple[F
     s[lo.STILL_ANCHOR : lo.STILL_ANCHOR + 4] = 0.0
     s[lo.VELOCITY_FIT] = 0.0
     s[lo.WINDOWS : lo.P] = 0.0
+    forget(s, k)
     P = s[lo.P :].reshape(n, n)
     sign = signs(n)
     P *= sign[:, None] * sign
     t = int(mirror(k[lo.T_NOW]))
     for name in (lo.T_NOW, lo.T_IMU, lo.T_POSITION_AID, lo.T_VELOCITY_AID):
         k[name] = t
-    for name in (lo.T_GNSS_SPEED, lo.T_REJECT, lo.T_CHECK, lo.STANDING, lo.STILL_COUNT):
+    for name in (lo.T_GNSS_SPEED, lo.T_CHECK, lo.STANDING, lo.STILL_COUNT):
         k[name] = 0
     k[lo.T_OUTPUT] = k[lo.T_SNAPSHOT] = 0
     for cell, period in ((lo.T_COVARIANCE, par.COVARIANCE_NS), (lo.STILL_CELL, par.STILL_NS)):
