@@ -347,7 +347,8 @@ def undecided(k: I64) -> bool:
 def report_source(s: F64, k: I64, part: int, source: int, t: int, report: F64) -> bool:
     """Fill a report row with the misfit, at the first fix of a second and where the state changes.
 
-    Its innovation is fast − base [m], its NIS what is held against :data:`LIMIT` squared.
+    Its innovation is fast − base [m], its NIS what is held against :data:`LIMIT` squared; its gate is
+    infinite where nothing vouches for the shadow, or the base is too young.
     """
     f = s[SOURCE + part * SOURCE_SIZE : SOURCE + (part + 1) * SOURCE_SIZE]
     q = k[SOURCE_K + part * SOURCE_INTS : SOURCE_K + (part + 1) * SOURCE_INTS]
@@ -361,7 +362,8 @@ def report_source(s: F64, k: I64, part: int, source: int, t: int, report: F64) -
     for i in range(3):
         report[R_INNOVATION + i] = f[FAST + i] - f[BASE + i] if i < m else np.nan
         report[R_SD + i] = sd if i < m else np.nan
-    report[R_NIS], report[R_GATE] = f[MISFIT] / f[MISFIT_VAR], LIMIT * LIMIT
+    armed = t - q[T_BASE] >= ARMED_NS and (q[STATE] != TRUSTED or witness(s, k, t))
+    report[R_NIS], report[R_GATE] = f[MISFIT] / f[MISFIT_VAR], LIMIT * LIMIT if armed else np.inf
     report[R_SCALE_USED] = 1.0
     report[R_VERDICT] = ACCEPTED if q[STATE] == TRUSTED else REJECTED_SOURCE
     for i in range(R_VERDICT + 1, report.shape[0]):
