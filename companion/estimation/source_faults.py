@@ -347,8 +347,8 @@ def undecided(k: I64) -> bool:
 def report_source(s: F64, k: I64, part: int, source: int, t: int, report: F64) -> bool:
     """Fill a report row with the misfit, at the first fix of a second and where the state changes.
 
-    Its innovation is fast − base [m], its NIS what is held against :data:`LIMIT` squared; its gate is
-    infinite where nothing vouches for the shadow, or the base is too young.
+    Its innovation is fast − base [m], its NIS what is held against :data:`LIMIT` squared; its gate
+    is infinite where nothing vouches for the shadow, or the base is too young.
     """
     f = s[SOURCE + part * SOURCE_SIZE : SOURCE + (part + 1) * SOURCE_SIZE]
     q = k[SOURCE_K + part * SOURCE_INTS : SOURCE_K + (part + 1) * SOURCE_INTS]
