@@ -55,6 +55,8 @@ WAITING_NS = 60 * NS
 """Aids waiting for a silent IMU: older ones are forgotten."""
 KEEP_NS = 6 * NS
 """Aids kept behind the ring, for realignment and relocking."""
+FORGET_NS = NS // 4
+"""How often that is looked at."""
 
 _KIND_OF_CHANNEL = np.full(max(Channel) + 1, -1)
 """Kind of aid (``walk.KIND_``) behind each channel; −1 for constraints."""
@@ -84,6 +86,7 @@ class Engine:
         self.on_line = OnLine(config)
         self._finished = False
         self._ring_ns = round(config.engine.delay_ring_s * NS)
+        self._forgot_ns = NEVER
         self._keep_imu_ns = self._ring_ns + round(config.alignment.window_s * NS) + 2 * NS
 
     def step(self, samples: AnySamples) -> Outputs:
@@ -333,9 +336,15 @@ class Engine:
             self._reports(),
             self._outlet.events(self.filter, horizon),
         )
+        if head is None or abs(head - self._forgot_ns) > FORGET_NS:
+            self._forget(head)
+        return out
+
+    def _forget(self, head: int | None) -> None:
+        """Let go of what nothing will need again."""
         if head is not None:
+            self._forgot_ns = head
             self._imu.forget(head - self._keep_imu_ns)
             self._aids.forget(head - self._ring_ns - KEEP_NS)
         if len(self._aids) > 1:
             self._aids.forget(int(self._aids.t[self._aids.end - 1]) - WAITING_NS)
-        return out

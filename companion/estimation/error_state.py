@@ -100,6 +100,8 @@ class ErrorStateFilter:
             if phase.mode is Mode.HEADING_UNKNOWN:
                 stop = imu.after((int(imu.t[i]) // w.CHECK_NS + 1) * w.CHECK_NS - 1)
             code = self._walk(phase, imu, aids, i, stop, j)
+            if code == w.DONE and stop == imu.end:
+                return
             if code == w.STOP_CHECK:
                 # Between the last sample of a cell and the first of the next.
                 t_imu = self.now[0]

@@ -48,13 +48,16 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
     """
     T = s[SUM_T]
     even = par[GYRO_PSD] * T * s[Q_SCALE] + s[SUM_XA]
+    if par[GYRO_VIBRATION_GAIN] <= 0.0:
+        q[1] = q[2] = q[4] = 0.0
+        q[0] = q[3] = q[5] = np.float32(even)
+        return
     at = 0
     for i in range(3):
         for j in range(i, 3):
             x = 0.0
-            if par[GYRO_VIBRATION_GAIN] > 0.0:
-                for k in range(3):
-                    x += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
-                x *= par[GYRO_VIBRATION_GAIN] * s[Q_SCALE] / T
+            for k in range(3):
+                x += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
+            x *= par[GYRO_VIBRATION_GAIN] * s[Q_SCALE] / T
             q[at] = np.float32(x + (even if i == j else 0.0))
             at += 1

@@ -58,7 +58,7 @@ class InertialIntake:
         rows = np.empty((len(block), 7))
         rows[:, :3] = self._mounting.turn(block.gyro_b)
         rows[:, 3:6] = self._mounting.turn(block.accel_b)
-        rows[:, 6] = np.where(block.interval_s > 0, block.interval_s, 0.0)
+        np.fmax(block.interval_s, 0.0, out=rows[:, 6])  # NaN, an instantaneous sample: 0
         return block.t_ns - self._latency_ns, rows
 
     def finite(self, t: I64, rows: F64) -> tuple[I64, F64]:

@@ -18,6 +18,10 @@ from companion.types import F64, I64
 MOVING_TILT_SD = math.radians(6.0)
 """Tilt uncertainty of levelling in motion: 1 m/s² of unknown acceleration over the window."""
 
+SCATTER = 11.345 / 3.0
+"""Variance seen over variance stated that one window in a hundred exceeds: χ² of three quarters'
+degrees of freedom."""
+
 
 @dataclass(frozen=True, slots=True)
 class Level:
@@ -67,13 +71,23 @@ def level(
     g2 = fx * fx + fy * fy + fz * fz
     if static:
         bias = mean[:3].copy()  # Earth's rate included: it takes a heading to tell it apart
-        # The quarters scatter by the same noise that the density states: the larger, not the sum.
-        var = np.maximum(gyro_psd / span, spread[:3] ** 2 / 16.0)
-        tilt = max(accel_psd / span, float(np.max(spread[3:5])) ** 2 / 16.0) / g2
+        seen = quarters.var(axis=0, ddof=1) / 4.0
+        var = _variance_of_mean(gyro_psd / span, seen[:3])
+        tilt = float(np.max(_variance_of_mean(accel_psd / span, seen[3:5]))) / g2
     else:
         bias, var = prior_bias.copy(), prior_var.copy()
         tilt = MOVING_TILT_SD**2
     return Level(roll, pitch, static, bias, var, tilt)
+
+
+def _variance_of_mean(stated: float, seen: F64) -> F64:
+    """Variance of the window's mean: as the noise density states it, unless it is seen to be more.
+
+    The quarters scatter by the same noise that the density states, so what was ``seen`` of it is a
+    draw about ``stated``, χ² with three degrees of freedom; taking the larger of the two would
+    claim too little of every start. Only a scatter that chance would hardly give counts.
+    """
+    return np.where(seen > SCATTER * stated, seen, stated)
 
 
 def attitude_covariance(

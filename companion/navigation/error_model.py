@@ -82,13 +82,8 @@ def box_plus(s: F64, lay: I64, dx: F64) -> None:
 
 
 @njit("void(f8[::1], f8[:, :, ::1])", cache=True)
-def transition_blocks(s: F64, B: F64) -> None:
-    """Fill ``B`` (24, 3, 3) with the rows p, v, φ of Φ, see :data:`COLUMNS`.
-
-    From the sums since the last call: T, ∫f_n, ∫∫f_n, ∫C_nb, ∫C_nb diag(f), ∫C_nb diag(ω).
-    Second order in T for the paths bias → attitude → velocity → position, so that a propagation
-    at 50 Hz matches one at the IMU's rate to 1e-4.
-    """
+def core_blocks(s: F64, B: F64) -> None:
+    """Fill the blocks of ``B`` (24, 3, 3) that every layout has."""
     T = s[SUM_T]
     lat, height = s[LAT], s[HEIGHT]
     m, n = radii(lat)
@@ -144,28 +139,50 @@ def transition_blocks(s: F64, B: F64) -> None:
         b[0, 0], b[0, 1], b[0, 2] = 0.0, z, -y
         b[1, 0], b[1, 1], b[1, 2] = -z, 0.0, x
         b[2, 0], b[2, 1], b[2, 2] = y, -x, 0.0
-    # bias and scale; ∫ f t dt = T ∫f − ∫∫f
-    tx = T * s[SUM_V] - s[SUM_P]
-    ty = T * s[SUM_V + 1] - s[SUM_P + 1]
-    tz = T * s[SUM_V + 2] - s[SUM_P + 2]
+    # bias; ∫ f t dt = T ∫f − ∫∫f
+    one = 1.0 / T
+    tx = s[SUM_V] - one * s[SUM_P]
+    ty = s[SUM_V + 1] - one * s[SUM_P + 1]
+    tz = s[SUM_V + 2] - one * s[SUM_P + 2]
     for j in range(3):
-        for i in range(3):
-            c, cf, cw = s[SUM_C + 3 * i + j], s[SUM_CF + 3 * i + j], s[SUM_CW + 3 * i + j]
-            B[11, i, j] = -c
-            B[3, i, j] = -0.5 * T * c
-            B[13, i, j] = -cf
-            B[5, i, j] = -0.5 * T * cf
-            B[20, i, j] = -c
-            B[22, i, j] = -cw
+        x, y, z = s[SUM_C + j], s[SUM_C + 3 + j], s[SUM_C + 6 + j]
+        B[11, 0, j], B[11, 1, j], B[11, 2, j] = -x, -y, -z
+        B[20, 0, j], B[20, 1, j], B[20, 2, j] = -x, -y, -z
         # v ← b_g: [f×] C t, integrated; p ← b_g is third order, a third of T of it
-        x, y, z = s[SUM_C + j] / T, s[SUM_C + 3 + j] / T, s[SUM_C + 6 + j] / T
         B[12, 0, j] = ty * z - tz * y
         B[12, 1, j] = tz * x - tx * z
         B[12, 2, j] = tx * y - ty * x
-        x, y, z = s[SUM_CW + j] / T, s[SUM_CW + 3 + j] / T, s[SUM_CW + 6 + j] / T
+        for i in range(3):
+            B[3, i, j] = 0.5 * T * B[11, i, j]
+            B[4, i, j] = B[12, i, j] * T / 3.0
+
+
+@njit("void(f8[::1], f8[:, :, ::1])", cache=True)
+def scale_blocks(s: F64, B: F64) -> None:
+    """Fill the blocks of ``B`` (24, 3, 3) in the columns of scale factors."""
+    T = s[SUM_T]
+    tx = s[SUM_V] - s[SUM_P] / T
+    ty = s[SUM_V + 1] - s[SUM_P + 1] / T
+    tz = s[SUM_V + 2] - s[SUM_P + 2] / T
+    for j in range(3):
+        x, y, z = s[SUM_CW + j], s[SUM_CW + 3 + j], s[SUM_CW + 6 + j]
         B[14, 0, j] = ty * z - tz * y
         B[14, 1, j] = tz * x - tx * z
         B[14, 2, j] = tx * y - ty * x
         for i in range(3):
-            B[4, i, j] = B[12, i, j] * T / 3.0
+            B[13, i, j] = -s[SUM_CF + 3 * i + j]
+            B[5, i, j] = 0.5 * T * B[13, i, j]
+            B[22, i, j] = -s[SUM_CW + 3 * i + j]
             B[6, i, j] = B[14, i, j] * T / 3.0
+
+
+@njit("void(f8[::1], f8[:, :, ::1])", cache=True)
+def transition_blocks(s: F64, B: F64) -> None:
+    """Fill ``B`` (24, 3, 3) with the rows p, v, φ of Φ, see :data:`COLUMNS`.
+
+    From the sums since the last call: T, ∫f_n, ∫∫f_n, ∫C_nb, ∫C_nb diag(f), ∫C_nb diag(ω).
+    Second order in T for the paths bias → attitude → velocity → position, so that a propagation
+    at 50 Hz matches one at the IMU's rate to 1e-4.
+    """
+    core_blocks(s, B)
+    scale_blocks(s, B)
