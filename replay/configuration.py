@@ -35,6 +35,11 @@ on a shaking airframe, picked without a filter. Spread of a flight's gyro, 5 to 
 _SLOW_ERROR = {"slow_error_sd_m": 1.0, "slow_error_height_sd_m": 1.7, "slow_error_tau_s": 60.0}
 """A single-band receiver wanders: what it repeats for a minute must not be averaged away."""
 
+_WARMING_DPS_RTS = 0.005
+"""Gyro bias walk [deg/s/√s] of an autopilot's IMU, which nobody keeps at one temperature: 0.01 to
+0.05 deg/s per kelvin and about a kelvin a minute after power-up, 0.04 deg/s in 60 s. At less, the
+bias falls behind and the heading with it, ten times further than the filter says."""
+
 
 def _imu_rate_hz(recording: Recording) -> float:
     """Rate of the inertial stream that the engine would use; 0 without one."""
@@ -69,7 +74,8 @@ def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfi
     elif recording.format in _DEFAULT_LATENCY_MS:
         imu_ms, gnss_ms = _DEFAULT_LATENCY_MS[recording.format]
         base = Config()
-        imu, sampling = base.imu, "consumer MEMS"
+        imu = msgspec.structs.replace(base.imu, gyro_bias_walk_dps_rts=_WARMING_DPS_RTS)
+        sampling = "consumer MEMS"
         rate_hz = _imu_rate_hz(recording)
         if 0 < rate_hz < _UNDERSAMPLED_HZ:
             gyro, accel = _UNDERSAMPLED_NOISE
