@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import re
 import shutil
 import sys
 from contextlib import suppress
-from importlib.metadata import version
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 CONSTANTS = ("layout.py", "parameters.py")
@@ -22,6 +24,7 @@ CONSTANTS = ("layout.py", "parameters.py")
 _KERNEL = re.compile(rb"^@njit\(", re.MULTILINE)
 _MARK = "complete"
 """File in the cache's folder that says for which sources and versions everything is there."""
+_PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")
 
 
 def root() -> Path:
@@ -29,7 +32,8 @@ def root() -> Path:
     return Path(__file__).parent.parent
 
 
-def kernel_sources() -> list[Path]:
+@cache
+def kernel_sources() -> tuple[Path, ...]:
     """Every source that takes part in a kernel, in a fixed order."""
     found: list[Path] = []
     for package in ("companion", "drivers", "replay"):
@@ -38,7 +42,7 @@ def kernel_sources() -> list[Path]:
             for path in sorted((root() / package).rglob("*.py"))
             if path.name in CONSTANTS or _KERNEL.search(path.read_bytes())
         )
-    return found
+    return tuple(found)
 
 
 def use_cache() -> None:
@@ -63,19 +67,37 @@ def use_cache() -> None:
 
 
 def _state() -> str:
-    """What numba will ask before it takes an entry: versions, and each source's stamp and size."""
-    lines = [f"python {sys.version}", f"numba {version('numba')}"]
+    """What numba will ask before it takes an entry: versions, the processor, each source's stamp
+    and size."""
+    lines = [f"python {sys.version}", f"numba {_numba()}", f"processor {_processor()}"]
     for path in kernel_sources():
         stat = path.stat()
         lines.append(f"{path.relative_to(root())} {stat.st_mtime_ns} {stat.st_size}")
     return "\n".join(lines)
 
 
-def compiled() -> bool:
-    """Whether every kernel of these sources was compiled here before; decided without numba.
+def _numba() -> str:
+    """Which numba there is; its metadata would cost ten times as much to read."""
+    spec = find_spec("numba")
+    if spec is None or spec.origin is None:
+        return "none"
+    said = Path(spec.origin).with_name("_version.py")
+    return f"{said} {hashlib.sha256(said.read_bytes()).hexdigest()[:16]}"
 
-    A cache carried to another kind of processor is the one case this cannot see.
-    """
+
+def _processor() -> str:
+    """Kind of processor and what it can, as Linux has it: code for one is not taken on another."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return platform.machine()
+    first = text.partition("\n\n")[0].splitlines()
+    kind = [line for line in first if line.startswith(_PROCESSOR)]
+    return hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
+
+
+def compiled() -> bool:
+    """Whether every kernel of these sources was compiled here before; decided without numba."""
     try:
         said = (Path(os.environ["NUMBA_CACHE_DIR"]) / _MARK).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

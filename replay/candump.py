@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from companion._jit import njit
 from companion.types import I64, LogFormatError
 
 U8 = NDArray[np.uint8]

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from companion._jit import njit
 from companion.types import F64, I64
 
 U8 = NDArray[np.uint8]

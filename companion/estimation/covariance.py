@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.parameters import (
     ACCEL_BIAS_PSD,
     ACCEL_BIAS_TAU,

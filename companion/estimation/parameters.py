@@ -6,11 +6,11 @@ Everything here is SI and radians; the configuration's units end in :func:`param
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
 
 from companion.config import DEG, Config
 from companion.estimation.adaptation.parameters import SIZE as ADAPTATION_SIZE
 from companion.estimation.adaptation.parameters import adaptation_vector, method_code
+from companion.estimation.chi_square import exceeded_with
 from companion.navigation.layout import Layout
 from companion.types import F64, I64, NS
 
@@ -86,7 +86,7 @@ def parameter_vector(config: Config) -> F64:
     p[GNSS_PSD] = 2.0 * config.gnss.slow_error_sd_m**2 / tau
     p[GNSS_PSD_DOWN] = 2.0 * config.gnss.slow_error_height_sd_m**2 / tau
     for dof in (1, 2, 3):
-        p[GATE + dof - 1] = chdtri(dof, 1.0 - config.engine.gate_probability)
+        p[GATE + dof - 1] = exceeded_with(1.0 - config.engine.gate_probability, dof)
     p[ZUPT_VAR] = aid.zero_velocity_sd_mps**2
     p[ZARU_VAR] = (aid.zero_rate_sd_dps * DEG) ** 2
     p[STILL_GYRO] = aid.standstill_gyro_dps * DEG

@@ -9,8 +9,8 @@ the filter used, to the bit.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.parameters import (
     ACCEL_PSD,
     GYRO_PSD,

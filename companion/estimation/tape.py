@@ -31,9 +31,9 @@ FULL_ROW    time (2), output row, upper triangle of P  –
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from companion._jit import njit
 from companion.estimation.process_noise import attitude_noise, velocity_noise
 from companion.navigation.layout import (
     ATT,

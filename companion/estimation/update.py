@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.adaptation.adapt import adapt, adapts
 from companion.estimation.adaptation.layout import TRACE_SIZE, TRACED
 from companion.estimation.parameters import BANK, FEEDFORWARD, GATE

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.adaptation.adapt import after_fix
 from companion.estimation.covariance import STRIDE, propagate
 from companion.estimation.parameters import (

@@ -7,8 +7,8 @@ GNSS datum.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.navigation.layout import BARO_BIAS, HEIGHT, L_BARO, L_N, POS
 from companion.types import F64, I64
 

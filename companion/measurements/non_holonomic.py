@@ -6,8 +6,7 @@ v_b = C_bn v_n + ω × l at the axle; 0 = v_b[right, down]. With C_true = (I + [
 
 from __future__ import annotations
 
-from numba import njit
-
+from companion._jit import njit
 from companion.navigation.layout import (
     ATT,
     GYRO_BIAS,

@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from companion._jit import njit
 from companion.navigation.earth import gravity_gradient, radii
 from companion.navigation.layout import (
     ACCEL_BIAS,

@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from companion._jit import njit
 from companion.navigation.earth import E2, A, gravity_at
 from companion.navigation.layout import (
     ACCEL_BIAS_B,

@@ -17,8 +17,8 @@ Where P was multiplied by α² (FLAC), λ and Λ are too, going back, and δx st
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.tape import (
     C_STEP,
     F32,

@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.covariance import apply_transition
 from companion.estimation.tape import (
     C_STEP,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from companion._jit import njit
 from drivers.mavlink.dialect import layout
 from drivers.mavlink.framer import U8, FrameIndex
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from companion._jit import njit
 from drivers.mavlink.dialect import crc_table
 
 U8 = NDArray[np.uint8]

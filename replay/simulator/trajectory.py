@@ -19,9 +19,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.interpolate import BSpline
 
+from companion._jit import njit
 from companion.navigation import earth
 from companion.types import F64
 from replay.simulator.shaping import Plan, spline
