@@ -28,7 +28,11 @@ KINDS: dict[type, Kind] = {
 USABLE_IMU_HZ = 20.0
 """Slower is no input of a strapdown filter."""
 TRIAL_NS = 2 * NS
-"""For how long the streams of a kind are compared before one is taken."""
+"""For how long inertial streams and receivers are compared before one is taken."""
+AID_TRIAL_NS = NS
+"""The same for the others: the magnetometer has to be there when the first fix begins the run."""
+KNOWN_TRIAL_NS = NS // 4
+"""How long an inertial stream that was used before has to show that it still is fast enough."""
 
 
 class Chosen(NamedTuple):
@@ -65,12 +69,18 @@ class Selection:
     """Chooses streams as they arrive, and passes on what the engine is to get. Pure."""
 
     def __init__(
-        self, config: Config, *, imu: str = "", preferred: Mapping[Kind, Sequence[str]]
+        self,
+        config: Config,
+        *,
+        imu: str = "",
+        preferred: Mapping[Kind, Sequence[str]],
+        known: Mapping[Kind, str] | None = None,
     ) -> None:
         """``imu``: the inertial stream that is configured, if one is; it is used whatever comes.
 
         ``preferred``: names of streams that may come, best first; others count after them, in the
-        order in which they are heard. A source that the configuration names is used at once.
+        order in which they are heard. A source that the configuration names is used at once, and so
+        is one that an earlier run has compared with others (``known``), if it is good.
         """
         named = {"imu": config.imu.source, "gnss": config.gnss.source}
         self._named: dict[str, str] = {k: v for k, v in named.items() if v != "auto"}
@@ -80,6 +90,7 @@ class Selection:
             kind for kind, use in (("baro", config.baro.use), ("mag", config.mag.use)) if not use
         }
         self._preferred = preferred
+        self._known = known or {}
         self._trials: dict[Kind, _Trial] = {}
         self._source: dict[Kind, str] = {}
         self._thin = Thinner(config.mag.max_rate_hz)
@@ -108,15 +119,21 @@ class Selection:
         """Whether this stream is the one to use from these samples on."""
         if kind in self._named:
             return self._named[kind] == samples.source
-        trial = self._trials.setdefault(kind, _Trial(self._preferred.get(kind, ())))
+        trial = self._trials.get(kind)
+        if trial is None:
+            length_ns = TRIAL_NS if kind in ("imu", "gnss") else AID_TRIAL_NS
+            preferred, known = self._preferred.get(kind, ()), self._known.get(kind)
+            trial = self._trials[kind] = _Trial(length_ns, preferred, known)
         return trial.best(samples) == samples.source
 
 
 class _Trial:
     """Compares the streams of one kind for a while."""
 
-    def __init__(self, preferred: Sequence[str]) -> None:
+    def __init__(self, length_ns: int, preferred: Sequence[str], known: str | None) -> None:
+        self._length_ns = length_ns
         self._preferred = preferred
+        self._known = known
         self._recent: dict[str, deque[int]] = {}
         self._began: int | None = None
 
@@ -130,12 +147,20 @@ class _Trial:
         now = int(samples.t_rx_ns[-1])
         if self._began is None and len(good):
             self._began = int(good[0])
-        if self._began is None or now - self._began < TRIAL_NS:
+        if self._began is None:
+            return None
+        inertial = isinstance(samples, ImuSamples)
+        if samples.source == self._known:
+            since = now - KNOWN_TRIAL_NS
+            wanted = USABLE_IMU_HZ * KNOWN_TRIAL_NS / NS if inertial else 1
+            if sum(t > since for t in recent) >= wanted:
+                return samples.source
+        if now - self._began < self._length_ns:
             return None
         for times in self._recent.values():
-            while times and times[0] <= now - TRIAL_NS:
+            while times and times[0] <= now - self._length_ns:
                 times.popleft()
-        enough = USABLE_IMU_HZ * TRIAL_NS / NS if isinstance(samples, ImuSamples) else 1
+        enough = USABLE_IMU_HZ * self._length_ns / NS if inertial else 1
         names = [name for name, times in self._recent.items() if len(times) >= enough]
         return min(names, key=self._rank, default=None)
 

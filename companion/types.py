@@ -389,8 +389,7 @@ class Verdict(IntEnum):
     """The receiver itself says that there is no fix, or accuracy is beyond the limit."""
     REFUSED_INVALID = 4
     """Non-finite or impossible values."""
-    REFUSED_NOT_ALIGNED = 5
-    """There is no solution yet to compare it with."""
+    # 5 was taken once; logs of then may hold it.
     REFUSED_CLOCK = 6
     """Its time of validity cannot be right (far in the future)."""
     REJECTED_SOURCE = 7
@@ -476,9 +475,10 @@ class Outputs:
 
 # --------------------------------------------------------------------------- health
 
-SensorState = Literal["waiting", "ok", "slow", "silent", "back"]
+SensorState = Literal["waiting", "ok", "slow", "silent", "back", "no-fix"]
 """``waiting``: nothing came yet; ``slow``: well below its rate; ``silent``: longer than its
-time-out; ``back``: came back a moment ago, not yet held for steady."""
+time-out; ``back``: came back a moment ago, not yet held for steady; ``no-fix``: a receiver that
+talks, and has had no fix for as long as would make it silent."""
 LinkState = Literal["up", "lost", "retrying"]
 """``lost``: gone just now; ``retrying``: at least one attempt to open it (again) failed."""
 LogState = Literal["off", "writing", "stopped"]

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Literal
 
 from companion.config import Config
 from companion.outputs.publisher import Publisher
-from companion.runtime.health import HealthMonitor
+from companion.runtime.health import HealthMonitor, usable
+from companion.selection import KINDS, Kind
 from companion.types import (
     NS,
     AnySamples,
-    BaroSamples,
-    GnssSamples,
-    ImuSamples,
     LogHealth,
     LoopHealth,
-    MagSamples,
     Mode,
     Outputs,
 )
@@ -26,10 +22,12 @@ HEALTH_NS = NS
 """Of the log's time, between health reports."""
 TICK_NS = NS // 10
 """Between looks at the sensors, as live."""
-_KINDS: dict[type, Literal["imu", "gnss", "baro", "mag"]] = {
-    ImuSamples: "imu", GnssSamples: "gnss", BaroSamples: "baro", MagSamples: "mag"
-}  # fmt: skip
 _NO_LOAD = LoopHealth(0.0, math.nan, math.nan, math.nan, 0.0)
+
+
+def _uses_all(_kind: Kind, _source: str) -> bool:
+    """All that is replayed feeds the engine."""
+    return True
 
 
 class Publication:
@@ -42,6 +40,7 @@ class Publication:
     def __init__(self, publisher: Publisher, vehicle: str, config: Config, start_ns: int) -> None:
         self._publisher = publisher
         self._monitor = HealthMonitor(vehicle, config.live, start_ns)
+        self._min_fix_type = config.gnss.min_fix_type
         self._mode = Mode.ALIGNING
         self._tick_ns = self._health_ns = start_ns
 
@@ -53,10 +52,11 @@ class Publication:
         if not len(samples):
             return
         now_ns = int(samples.t_rx_ns[-1])
-        self._monitor.arrived(_KINDS[type(samples)], samples.source, len(samples), now_ns)
+        good = usable(samples, self._min_fix_type)
+        self._monitor.arrived(KINDS[type(samples)], samples.source, len(samples), now_ns, good)
         if not 0 <= now_ns - self._tick_ns < TICK_NS:
             self._tick_ns = now_ns
-            for event in self._monitor.tick(now_ns):
+            for event in self._monitor.tick(now_ns, _uses_all):
                 self._publisher.event(event)
         if not 0 <= now_ns - self._health_ns < HEALTH_NS:
             self._health_ns = now_ns
@@ -64,7 +64,7 @@ class Publication:
                 self._monitor.report(
                     now_ns,
                     self._mode,
-                    lambda _kind, _source: True,
+                    _uses_all,
                     lambda _source: (0, 0),
                     _NO_LOAD,
                     LogHealth("off"),

@@ -22,6 +22,7 @@ from companion.config.estimator import (
     EngineConfig,
     Gnss,
     Imu,
+    LastHeading,
     Mag,
     Smoothing,
     SourceFaults,
@@ -39,7 +40,7 @@ from companion.config.live import (
     Zenoh,
 )
 from companion.config.live_checks import check_live
-from companion.config.ranges import rotation
+from companion.config.ranges import positive, rotation, within
 from companion.config.raw_gnss import RawGnss, check_raw_gnss
 from companion.config.section import Section
 from companion.config.spelled import to_toml
@@ -60,6 +61,7 @@ __all__ = [
     "Gnss",
     "Ground",
     "Imu",
+    "LastHeading",
     "Live",
     "Log",
     "Mag",
@@ -214,6 +216,11 @@ def _check(config: Config) -> None:
         raise ConfigError(f"key 'smoothing.window': update intervals, 1 to {MAX_WINDOW}")
     if not 0 < config.smoothing.load_limit <= 1:
         raise ConfigError("key 'smoothing.load_limit': share of a core, above 0 and up to 1")
+    last = config.alignment.last_heading
+    if last is not None:
+        within("alignment.last_heading.heading_deg", last.heading_deg, -360.0, 360.0, "degrees")
+        within("alignment.last_heading.turn_dps", last.turn_dps, 0.0, 1e4, "deg/s")
+        positive("alignment.last_heading.sd_deg", last.sd_deg, "degrees")
     check_live(config)
 
 

@@ -131,6 +131,18 @@ class Constraints(Section):
     course_sd_deg: float = 3.0
 
 
+class LastHeading(Section):
+    """Heading that an earlier run ended with; a warm start writes it."""
+
+    heading_deg: float
+    sd_deg: float
+    """1σ, at ``t_ns``."""
+    t_ns: int
+    """UTC [ns]."""
+    turn_dps: float
+    """Fastest turn over a second within the run's last minute: what it may have done since."""
+
+
 class Alignment(Section):
     heading: Literal["auto", "magnetometer", "course", "unknown", "fixed"] = "auto"
     """``auto``: magnetometer with ``mag.use``, course with ``constraints.course``, else unknown."""
@@ -140,6 +152,8 @@ class Alignment(Section):
     hypotheses: int = 12
     """Filters in the bank over an unknown heading."""
     heading_found_sd_deg: float = 8.0
+    last_heading: LastHeading | None = None
+    """Used with ``auto`` where, widened by its age, it is better than what else there is."""
 
 
 class EngineConfig(Section):

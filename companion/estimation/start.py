@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.config import DEG
+from companion.config import DEG, Config
 from companion.estimation import parameters as par
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
@@ -24,6 +24,10 @@ from companion.navigation.rotation import matrix_from_quat, quat_from_rpy
 from companion.types import F64, NS, Event, Mode
 
 MAG_AGE_NS = NS
+LAST_HEADING_SD = math.radians(15.0)
+"""Beyond it one filter would not do for a heading: each of the bank's twelve is as sure."""
+LEAST_TURN_DPS = 1.0
+"""Rate at which the heading of an earlier run fades at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,10 +145,40 @@ def _heading(setup: Setup, lev: Level, aids: SampleBuffer, j: int, speed: float)
     """The heading at fix ``j``, as configured or from what there is."""
     cfg = setup.config
     wish = cfg.alignment.heading
-    fix, t = aids.rows[j], int(aids.t[j])
     if wish == "fixed":
         fixed = cfg.alignment.fixed_heading_deg * DEG
         return _Heading(fixed, cfg.mag.sd_deg * DEG, (0.0, 0.0), "configuration")
+    found = _measured_heading(setup, lev, aids, j, speed)
+    before = _last_heading(cfg, int(aids.t[j])) if wish == "auto" else None
+    if before is not None and (found is None or before.sd < found.sd):
+        return before
+    return found or _Heading(0.0, math.pi, (0.0, 0.0), "unknown")
+
+
+def _last_heading(cfg: Config, t: int) -> _Heading | None:
+    """What an earlier run knew, as far as the vehicle may have turned since; None if that is far.
+
+    sd² = saved² + (turn · age)². Nobody saw it turn in between: within the age of a restart it may
+    have turned all the time as fast as it did of late, and be it at rest, somebody may turn it.
+    """
+    last = cfg.alignment.last_heading
+    # A clock that is behind the file's says nothing about its age.
+    if last is None or t < last.t_ns:
+        return None
+    turned = max(last.turn_dps, LEAST_TURN_DPS) * (t - last.t_ns) / NS
+    sd = math.hypot(last.sd_deg, turned) * DEG
+    if sd > LAST_HEADING_SD:
+        return None
+    return _Heading(last.heading_deg * DEG, sd, (0.0, 0.0), "the last run")
+
+
+def _measured_heading(
+    setup: Setup, lev: Level, aids: SampleBuffer, j: int, speed: float
+) -> _Heading | None:
+    """The heading at fix ``j`` by magnetometer or course, as configured; None without either."""
+    cfg = setup.config
+    wish = cfg.alignment.heading
+    fix, t = aids.rows[j], int(aids.t[j])
     if wish == "magnetometer" or (wish == "auto" and cfg.mag.use):
         for m in range(j, aids.start - 1, -1):
             if t - int(aids.t[m]) > MAG_AGE_NS:
@@ -158,7 +192,7 @@ def _heading(setup: Setup, lev: Level, aids: SampleBuffer, j: int, speed: float)
     ):
         sd = math.hypot(cfg.constraints.course_sd_deg * DEG, math.sqrt(fix[9]) / speed)
         return _Heading(math.atan2(fix[4], fix[3]), 2.0 * sd, (0.0, 0.0), "course")
-    return _Heading(0.0, math.pi, (0.0, 0.0), "unknown")
+    return None
 
 
 def _initial(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from companion._jit import njit
 from companion.gnss.systems import C
 from companion.types import F64
 

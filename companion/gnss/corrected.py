@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.gnss.atmosphere import klobuchar, troposphere
 from companion.gnss.geometry import geodetic, ned_axes
 from companion.gnss.orbit import E_GROUP_DELAY, E_SAT, OMEGA_E_GPS, satellite_at

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.navigation.earth import E2, A, B
 from companion.types import F64, I64
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.gnss.corrected import (
     S_RANGE,
     S_RANGE_VAR,

@@ -67,14 +67,16 @@ def _fill(message: Any, value: Any, enums: dict[str, Any]) -> None:
     for name in (f.name for f in fields(value)):
         if name not in _NESTED:
             plain = getattr(value, name)
-            setattr(message, name, enums[name].Value(plain.upper()) if name in enums else plain)
+            if name in enums:
+                plain = enums[name].Value(plain.upper().replace("-", "_"))
+            setattr(message, name, plain)
 
 
 def _values(message: Any, kind: type, enums: dict[str, Any]) -> dict[str, Any]:
     """The plain fields of a message as arguments of its dataclass."""
     names = (f.name for f in fields(cast(Any, kind)) if f.name not in _NESTED)
     return {
-        name: enums[name].Name(getattr(message, name)).lower()
+        name: enums[name].Name(getattr(message, name)).lower().replace("_", "-")
         if name in enums
         else getattr(message, name)
         for name in names

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from companion.proto import navigation_pb2 as companion_dot_proto_dot_navigation__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1c\x63ompanion/proto/health.proto\x12\tcompanion\x1a companion/proto/navigation.proto\"\xf8\x01\n\x0cSensorHealth\x12\x0c\n\x04kind\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12,\n\x05state\x18\x03 \x01(\x0e\x32\x1d.companion.SensorHealth.State\x12\x0c\n\x04used\x18\x04 \x01(\x08\x12\x0f\n\x07rate_hz\x18\x05 \x01(\x01\x12\r\n\x05\x61ge_s\x18\x06 \x01(\x01\x12\x0f\n\x07samples\x18\x07 \x01(\x04\x12\x0c\n\x04lost\x18\x08 \x01(\x04\x12\x11\n\tsaturated\x18\t \x01(\x04\"<\n\x05State\x12\x0b\n\x07WAITING\x10\x00\x12\x06\n\x02OK\x10\x01\x12\x08\n\x04SLOW\x10\x02\x12\n\n\x06SILENT\x10\x03\x12\x08\n\x04\x42\x41\x43K\x10\x04\"\xb4\x01\n\nLinkHealth\x12\x0c\n\x04name\x18\x01 \x01(\t\x12*\n\x05state\x18\x02 \x01(\x0e\x32\x1b.companion.LinkHealth.State\x12\x10\n\x08received\x18\x03 \x01(\x04\x12\x11\n\tmalformed\x18\x04 \x01(\x04\x12\x10\n\x08reopened\x18\x05 \x01(\x04\x12\x0c\n\x04note\x18\x06 \x01(\t\"\'\n\x05State\x12\x06\n\x02UP\x10\x00\x12\x08\n\x04LOST\x10\x01\x12\x0c\n\x08RETRYING\x10\x02\"t\n\nLoopHealth\x12\x0c\n\x04load\x18\x01 \x01(\x01\x12\x16\n\x0elatency_p50_ms\x18\x02 \x01(\x01\x12\x16\n\x0elatency_p99_ms\x18\x03 \x01(\x01\x12\x16\n\x0elatency_max_ms\x18\x04 \x01(\x01\x12\x10\n\x08stall_ms\x18\x05 \x01(\x01\"\xb4\x01\n\tLogHealth\x12)\n\x05state\x18\x01 \x01(\x0e\x32\x1a.companion.LogHealth.State\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\x15\n\rwritten_bytes\x18\x03 \x01(\x04\x12\x14\n\x0cqueued_bytes\x18\x04 \x01(\x04\x12\x15\n\rdropped_bytes\x18\x05 \x01(\x04\"*\n\x05State\x12\x07\n\x03OFF\x10\x00\x12\x0b\n\x07WRITING\x10\x01\x12\x0b\n\x07STOPPED\x10\x02\"\xbc\x03\n\x06Health\x12\x0f\n\x07vehicle\x18\x01 \x01(\t\x12\x0c\n\x04t_ns\x18\x02 \x01(\x10\x12\x10\n\x08uptime_s\x18\x03 \x01(\x01\x12&\n\x04mode\x18\x04 \x01(\x0e\x32\x18.companion.NavState.Mode\x12&\n\x05level\x18\x05 \x01(\x0e\x32\x17.companion.Health.Level\x12\x0c\n\x04text\x18\x06 \x01(\t\x12(\n\x07sensors\x18\x07 \x03(\x0b\x32\x17.companion.SensorHealth\x12$\n\x05links\x18\x08 \x03(\x0b\x32\x15.companion.LinkHealth\x12#\n\x04loop\x18\t \x01(\x0b\x32\x15.companion.LoopHealth\x12!\n\x03log\x18\n \x01(\x0b\x32\x14.companion.LogHealth\x12\x31\n\x08\x63ounters\x18\x0b \x03(\x0b\x32\x1f.companion.Health.CountersEntry\x1a/\n\rCountersEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x03:\x02\x38\x01\"\'\n\x05Level\x12\x06\n\x02OK\x10\x00\x12\x0b\n\x07WARNING\x10\x01\x12\t\n\x05\x45RROR\x10\x02\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1c\x63ompanion/proto/health.proto\x12\tcompanion\x1a companion/proto/navigation.proto\"\x84\x02\n\x0cSensorHealth\x12\x0c\n\x04kind\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12,\n\x05state\x18\x03 \x01(\x0e\x32\x1d.companion.SensorHealth.State\x12\x0c\n\x04used\x18\x04 \x01(\x08\x12\x0f\n\x07rate_hz\x18\x05 \x01(\x01\x12\r\n\x05\x61ge_s\x18\x06 \x01(\x01\x12\x0f\n\x07samples\x18\x07 \x01(\x04\x12\x0c\n\x04lost\x18\x08 \x01(\x04\x12\x11\n\tsaturated\x18\t \x01(\x04\"H\n\x05State\x12\x0b\n\x07WAITING\x10\x00\x12\x06\n\x02OK\x10\x01\x12\x08\n\x04SLOW\x10\x02\x12\n\n\x06SILENT\x10\x03\x12\x08\n\x04\x42\x41\x43K\x10\x04\x12\n\n\x06NO_FIX\x10\x05\"\xb4\x01\n\nLinkHealth\x12\x0c\n\x04name\x18\x01 \x01(\t\x12*\n\x05state\x18\x02 \x01(\x0e\x32\x1b.companion.LinkHealth.State\x12\x10\n\x08received\x18\x03 \x01(\x04\x12\x11\n\tmalformed\x18\x04 \x01(\x04\x12\x10\n\x08reopened\x18\x05 \x01(\x04\x12\x0c\n\x04note\x18\x06 \x01(\t\"\'\n\x05State\x12\x06\n\x02UP\x10\x00\x12\x08\n\x04LOST\x10\x01\x12\x0c\n\x08RETRYING\x10\x02\"t\n\nLoopHealth\x12\x0c\n\x04load\x18\x01 \x01(\x01\x12\x16\n\x0elatency_p50_ms\x18\x02 \x01(\x01\x12\x16\n\x0elatency_p99_ms\x18\x03 \x01(\x01\x12\x16\n\x0elatency_max_ms\x18\x04 \x01(\x01\x12\x10\n\x08stall_ms\x18\x05 \x01(\x01\"\xb4\x01\n\tLogHealth\x12)\n\x05state\x18\x01 \x01(\x0e\x32\x1a.companion.LogHealth.State\x12\x0c\n\x04path\x18\x02 \x01(\t\x12\x15\n\rwritten_bytes\x18\x03 \x01(\x04\x12\x14\n\x0cqueued_bytes\x18\x04 \x01(\x04\x12\x15\n\rdropped_bytes\x18\x05 \x01(\x04\"*\n\x05State\x12\x07\n\x03OFF\x10\x00\x12\x0b\n\x07WRITING\x10\x01\x12\x0b\n\x07STOPPED\x10\x02\"\xbc\x03\n\x06Health\x12\x0f\n\x07vehicle\x18\x01 \x01(\t\x12\x0c\n\x04t_ns\x18\x02 \x01(\x10\x12\x10\n\x08uptime_s\x18\x03 \x01(\x01\x12&\n\x04mode\x18\x04 \x01(\x0e\x32\x18.companion.NavState.Mode\x12&\n\x05level\x18\x05 \x01(\x0e\x32\x17.companion.Health.Level\x12\x0c\n\x04text\x18\x06 \x01(\t\x12(\n\x07sensors\x18\x07 \x03(\x0b\x32\x17.companion.SensorHealth\x12$\n\x05links\x18\x08 \x03(\x0b\x32\x15.companion.LinkHealth\x12#\n\x04loop\x18\t \x01(\x0b\x32\x15.companion.LoopHealth\x12!\n\x03log\x18\n \x01(\x0b\x32\x14.companion.LogHealth\x12\x31\n\x08\x63ounters\x18\x0b \x03(\x0b\x32\x1f.companion.Health.CountersEntry\x1a/\n\rCountersEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x03:\x02\x38\x01\"\'\n\x05Level\x12\x06\n\x02OK\x10\x00\x12\x0b\n\x07WARNING\x10\x01\x12\t\n\x05\x45RROR\x10\x02\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,23 +35,23 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_HEALTH_COUNTERSENTRY']._loaded_options = None
   _globals['_HEALTH_COUNTERSENTRY']._serialized_options = b'8\001'
   _globals['_SENSORHEALTH']._serialized_start=78
-  _globals['_SENSORHEALTH']._serialized_end=326
+  _globals['_SENSORHEALTH']._serialized_end=338
   _globals['_SENSORHEALTH_STATE']._serialized_start=266
-  _globals['_SENSORHEALTH_STATE']._serialized_end=326
-  _globals['_LINKHEALTH']._serialized_start=329
-  _globals['_LINKHEALTH']._serialized_end=509
-  _globals['_LINKHEALTH_STATE']._serialized_start=470
-  _globals['_LINKHEALTH_STATE']._serialized_end=509
-  _globals['_LOOPHEALTH']._serialized_start=511
-  _globals['_LOOPHEALTH']._serialized_end=627
-  _globals['_LOGHEALTH']._serialized_start=630
-  _globals['_LOGHEALTH']._serialized_end=810
-  _globals['_LOGHEALTH_STATE']._serialized_start=768
-  _globals['_LOGHEALTH_STATE']._serialized_end=810
-  _globals['_HEALTH']._serialized_start=813
-  _globals['_HEALTH']._serialized_end=1257
-  _globals['_HEALTH_COUNTERSENTRY']._serialized_start=1169
-  _globals['_HEALTH_COUNTERSENTRY']._serialized_end=1216
-  _globals['_HEALTH_LEVEL']._serialized_start=1218
-  _globals['_HEALTH_LEVEL']._serialized_end=1257
+  _globals['_SENSORHEALTH_STATE']._serialized_end=338
+  _globals['_LINKHEALTH']._serialized_start=341
+  _globals['_LINKHEALTH']._serialized_end=521
+  _globals['_LINKHEALTH_STATE']._serialized_start=482
+  _globals['_LINKHEALTH_STATE']._serialized_end=521
+  _globals['_LOOPHEALTH']._serialized_start=523
+  _globals['_LOOPHEALTH']._serialized_end=639
+  _globals['_LOGHEALTH']._serialized_start=642
+  _globals['_LOGHEALTH']._serialized_end=822
+  _globals['_LOGHEALTH_STATE']._serialized_start=780
+  _globals['_LOGHEALTH_STATE']._serialized_end=822
+  _globals['_HEALTH']._serialized_start=825
+  _globals['_HEALTH']._serialized_end=1269
+  _globals['_HEALTH_COUNTERSENTRY']._serialized_start=1181
+  _globals['_HEALTH_COUNTERSENTRY']._serialized_end=1228
+  _globals['_HEALTH_LEVEL']._serialized_start=1230
+  _globals['_HEALTH_LEVEL']._serialized_end=1269
 # @@protoc_insertion_point(module_scope)

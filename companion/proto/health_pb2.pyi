@@ -16,11 +16,13 @@ class SensorHealth(_message.Message):
         SLOW: _ClassVar[SensorHealth.State]
         SILENT: _ClassVar[SensorHealth.State]
         BACK: _ClassVar[SensorHealth.State]
+        NO_FIX: _ClassVar[SensorHealth.State]
     WAITING: SensorHealth.State
     OK: SensorHealth.State
     SLOW: SensorHealth.State
     SILENT: SensorHealth.State
     BACK: SensorHealth.State
+    NO_FIX: SensorHealth.State
     KIND_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]

@@ -19,7 +19,7 @@ from companion.estimation.gnss_latency import GnssLatencyEstimator
 from companion.logbook import LogWriter
 from companion.outlet import NOTHING
 from companion.runtime.clock import Reading
-from companion.runtime.health import HealthMonitor
+from companion.runtime.health import HealthMonitor, usable
 from companion.runtime.smoothing_pace import SmoothingPace, Stopwatch
 from companion.selection import KINDS, Kind, Selection
 from companion.types import (
@@ -93,6 +93,10 @@ class Session(Protocol):
     def references(self) -> Sequence[ReferenceSamples]:
         """The autopilot's own solution since the last call."""
 
+    @property
+    def vehicle(self) -> tuple[int, int] | None:
+        """System and component of the autopilot, once heard."""
+
     def events(self) -> Sequence[Event]:
         """What happened since the last call."""
 
@@ -117,11 +121,12 @@ class Core:
         decoders: Mapping[str, Sequence[Decoder]],
         session: Session | None,
         preferred: Mapping[Kind, Sequence[str]],
+        known: Mapping[Kind, str] | None = None,
         publish: Callable[[Outputs], None],
         announce: Callable[[Event], None],
         stopwatch: Stopwatch = lambda: 0,
     ) -> None:
-        """``decoders`` by CAN link; ``preferred`` as for :class:`Selection`.
+        """``decoders`` by CAN link; ``preferred`` and ``known`` as for :class:`Selection`.
 
         ``publish`` gets what each engine step gave out, ``announce`` every other event;
         ``stopwatch`` tells how long a step takes, which decides whether the smoother gives way.
@@ -136,7 +141,9 @@ class Core:
         self._decoders = decoders
         self._session = session
         units = [d.source for link in decoders.values() for d in link]
-        self.selection = Selection(config, imu=units[0] if units else "", preferred=preferred)
+        self.selection = Selection(
+            config, imu=units[0] if units else "", preferred=preferred, known=known
+        )
         self.monitor = HealthMonitor(self.vehicle, config.live, start_ns)
         for bus in config.can:
             for unit in bus.imu:
@@ -194,7 +201,7 @@ class Core:
         if self._session is not None:
             self._session.tick(t)
             self._drain_session(self._session)
-        for event in self.monitor.tick(t):
+        for event in self.monitor.tick(t, self.selection.uses):
             self.event(event)
         self._pace_smoother(t)
         if t - self._reference_ns >= REFERENCE_NS:
@@ -240,7 +247,9 @@ class Core:
         """Log samples, then let the engine have what is chosen of them."""
         self._writer.samples(samples, self.vehicle)
         kind = KINDS[type(samples)]
-        self.monitor.arrived(kind, samples.source, len(samples), int(samples.t_rx_ns[-1]))
+        good = usable(samples, self.config.gnss.min_fix_type)
+        at = int(samples.t_rx_ns[-1])
+        self.monitor.arrived(kind, samples.source, len(samples), at, good)
         fed = self.selection.offer(samples)
         if len(self.selection.chosen) != self._chosen:
             self._note_choice()
@@ -308,6 +317,11 @@ class Core:
             self._writer.references(blocks, self.vehicle, "autopilot")
 
     # ------------------------------------------------------------------ state
+
+    @property
+    def autopilot(self) -> tuple[int, int] | None:
+        """System and component of the autopilot, once heard."""
+        return self._session.vehicle if self._session is not None else None
 
     @property
     def mode(self) -> Mode:

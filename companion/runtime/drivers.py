@@ -36,14 +36,18 @@ def _decoder(unit: CanImu, directory: Path) -> CanImuDecoder:
     )
 
 
-def mavlink_session(mavlink: Mavlink, directory: Path) -> MavlinkSession:
+def mavlink_session(
+    mavlink: Mavlink, directory: Path, known: tuple[int, int] | None = None
+) -> MavlinkSession:
     """The autopilot's session; ``directory`` is what the key file is relative to.
 
+    ``known``: system and component of the autopilot that was there before.
     Raises :class:`~companion.types.ConfigError` for a key that cannot be read.
     """
     key_file = mavlink.signing_key_file
     settings = SessionSettings(
         system=mavlink.system,
+        known=known,
         component=mavlink.component,
         imu=mavlink.imu,
         imu_rate_hz=mavlink.imu_rate_hz,

@@ -15,7 +15,9 @@ from companion.config import Live
 from companion.selection import Kind
 from companion.types import (
     NS,
+    AnySamples,
     Event,
+    GnssSamples,
     Health,
     LinkHealth,
     LinkState,
@@ -44,6 +46,8 @@ _NAMES: dict[Kind, str] = {
 _NOTHING = float("nan")
 
 Level = Literal["ok", "warning", "error"]
+Uses = Callable[[Kind, str], bool]
+"""Whether a stream feeds the engine."""
 Count = Callable[[str], tuple[int, int]]
 """Lost and saturated samples so far of a source, by its driver."""
 
@@ -55,8 +59,11 @@ class _Sensor:
     timeout_ns: int
     expected_hz: float
     """Configured; 0: the best seen."""
+    configured: bool = False
     state: SensorState = "waiting"
     samples: int = 0
+    good_ns: int = 0
+    """When the last usable sample arrived; before one, when the first did."""
     last_ns: int = 0
     back_ns: int = 0
     silent_since_ns: int = 0
@@ -69,6 +76,11 @@ class _Sensor:
     @property
     def name(self) -> str:
         return f"{_NAMES[self.kind]} {self.source}"
+
+
+def usable(samples: AnySamples, min_fix_type: int) -> bool:
+    """Whether one of ``samples`` at least can be used: a receiver needs a fix."""
+    return not isinstance(samples, GnssSamples) or bool((samples.fix_type >= min_fix_type).any())
 
 
 class HealthMonitor:
@@ -90,29 +102,40 @@ class HealthMonitor:
 
     def expect(self, kind: Kind, source: str, rate_hz: float = 0.0) -> None:
         """A stream that is configured: it counts as waiting until it is heard."""
-        key = (kind, source)
-        self._sensors[key] = _Sensor(kind, source, self._timeout_ns[kind], rate_hz)
+        self._sensors[kind, source] = _Sensor(
+            kind, source, self._timeout_ns[kind], rate_hz, configured=True
+        )
 
-    def arrived(self, kind: Kind, source: str, count: int, t_rx_ns: int) -> None:
-        """``count`` samples of a stream came, the last one at ``t_rx_ns``."""
+    def arrived(self, kind: Kind, source: str, count: int, t_rx_ns: int, good: bool = True) -> None:
+        """``count`` samples of a stream came, the last one at ``t_rx_ns``.
+
+        ``good``: one of them at least can be used (a receiver has a fix).
+        """
         sensor = self._sensors.get((kind, source))
         if sensor is None:
-            self.expect(kind, source)
-            sensor = self._sensors[kind, source]
+            sensor = _Sensor(kind, source, self._timeout_ns[kind], 0.0)
+            self._sensors[kind, source] = sensor
+        if good or not sensor.samples:
+            sensor.good_ns = t_rx_ns
         sensor.samples += count
         sensor.last_ns = t_rx_ns
 
-    def tick(self, t_ns: int) -> list[Event]:
-        """Look at every sensor; what has changed, as events."""
+    def tick(self, t_ns: int, uses: Uses) -> list[Event]:
+        """Look at every sensor; what has changed, as events.
+
+        A stream that is neither configured nor used may come and go: its state says so, and that it
+        was heard is all the news there is.
+        """
         events: list[Event] = []
         for sensor in self._sensors.values():
             _note_rate(sensor, t_ns)
-            event = self._judge(sensor, t_ns)
-            if event is not None:
+            used, heard = uses(sensor.kind, sensor.source), sensor.state != "waiting"
+            event = self._judge(sensor, t_ns, used)
+            if event is not None and (used or sensor.configured or not heard):
                 events.append(event)
         return events
 
-    def _judge(self, s: _Sensor, t_ns: int) -> Event | None:
+    def _judge(self, s: _Sensor, t_ns: int, used: bool) -> Event | None:
         """Move one sensor to the state it is in now."""
         if not s.samples:
             if s.missed or t_ns - self._start_ns < MISSING_NS:
@@ -125,7 +148,8 @@ class HealthMonitor:
                 return None
             s.state, s.silent_since_ns = "silent", s.last_ns
             text = f"{s.name} silent for {(t_ns - s.last_ns) / NS:.1f} s"
-            return Event(t_ns, f"{s.kind}-silent", text, "error" if s.kind == "imu" else "warning")
+            bad = used and s.kind == "imu"
+            return Event(t_ns, f"{s.kind}-silent", text, "error" if bad else "warning")
         if s.state == "silent":
             s.state, s.back_ns = "back", t_ns
             # A rate over the silence would call it slow.
@@ -135,6 +159,14 @@ class HealthMonitor:
         if s.state == "waiting":
             s.state = "ok"
             return Event(t_ns, f"{s.kind}-heard", f"{s.name} heard")
+        if t_ns - s.good_ns > s.timeout_ns:
+            if s.state == "no-fix":
+                return None
+            s.state = "no-fix"
+            return Event(t_ns, f"{s.kind}-no-fix", f"{s.name} has no fix", "warning")
+        if s.state == "no-fix":
+            s.state = "ok"
+            return Event(t_ns, f"{s.kind}-fix", f"{s.name} has a fix again")
         if s.state == "back" and t_ns - s.back_ns < STEADY_NS:
             return None
         return self._judge_rate(s, t_ns)
@@ -179,13 +211,13 @@ class HealthMonitor:
         self,
         t_ns: int,
         mode: Mode,
-        uses: Callable[[Kind, str], bool],
+        uses: Uses,
         count: Count,
         loop: LoopHealth,
         log: LogHealth,
         counters: Mapping[str, int],
     ) -> Health:
-        """Everything together; ``uses`` says which streams feed the engine."""
+        """Everything together."""
         sensors = tuple(
             _sensor_health(s, t_ns, uses(s.kind, s.source), *count(s.source))
             for s in self._sensors.values()
@@ -239,10 +271,13 @@ def _verdict(
     """The worst of all parts, and every problem in words, errors first."""
     errors: list[str] = []
     warnings: list[str] = []
+    receiver = any(s.used for s in sensors if s.kind == "gnss")
     for s in sensors:
-        # A stream that nobody uses may come and go.
-        if s.used and s.state != "ok":
-            text = f"{_NAMES[s.kind]} {s.source} {s.state}"
+        # A stream that nobody uses may come and go; a receiver is used once it has a fix.
+        wanted = s.used or (s.state == "no-fix" and not receiver)
+        if wanted and s.state != "ok":
+            state = "without a fix" if s.state == "no-fix" else s.state
+            text = f"{_NAMES[s.kind]} {s.source} {state}"
             (errors if s.kind == "imu" and s.state == "silent" else warnings).append(text)
     if not any(s.used for s in sensors if s.kind == "imu"):
         errors.append("no IMU")

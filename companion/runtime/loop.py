@@ -28,8 +28,8 @@ from drivers.mavlink.link import ReopeningLink
 from drivers.mavlink.session import MavlinkSession
 
 HEALTH_NS = NS
-SAVE_NS = 60 * NS
-"""Biases are kept this often."""
+SAVE_NS = NS
+"""What was learned is kept this often."""
 
 
 class Stop:
@@ -121,7 +121,7 @@ class Loop:
     def run(self, core: Core, seconds: float | None, save: Callable[[], None]) -> None:
         """Go on until a signal, or for ``seconds``.
 
-        ``save`` is called once a minute to keep what was learned; it must return at once.
+        ``save`` is called once a second to keep what was learned; it must return at once.
         """
         self.core = core
         p = self._p

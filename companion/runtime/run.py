@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,15 +11,15 @@ from typing import Any
 from companion import __version__
 from companion.logbook import LogWriter
 from companion.outputs.publisher import Publisher
-from companion.runtime import saved_state
 from companion.runtime.background import BackgroundFile
 from companion.runtime.clock import RunClock
 from companion.runtime.core import Core
 from companion.runtime.drivers import can_decoders, mavlink_session
 from companion.runtime.feeds import make_feeds
+from companion.runtime.keeper import Keeper
 from companion.runtime.links import CanLink
 from companion.runtime.loop import Loop, Parts, Stop
-from companion.runtime.start import Start, known_imu
+from companion.runtime.start import Start
 from companion.runtime.systemd import Notifier
 from companion.selection import Kind
 from companion.types import (
@@ -60,19 +59,19 @@ def run(
         start, directory, clock, publishers, Stop() if stop is None else stop
     )
     begun, cpu_s = clock.read(), time.process_time()
-    keeper = _Keeper(start.state)
+    keeper = Keeper(start.state, start.saved)
     try:
         with parts.stop.on_signals(), writer:
             _open(parts, core, start, begun.run)
             # Everything that lives for the whole run is never looked at by the collector again.
-            gc.collect()
+            # What else the start left is hardly worth the tenth of a second to look for it.
             gc.freeze()
+            gc.enable()
             loop.run(core, seconds, lambda: keeper.keep(core))
             parts.notifier.stopping()
             closing = core.finish()
             writer.close({"vehicles": {core.vehicle: closing}})
-            keeper.keep(core)
-            keeper.wait()
+            keeper.keep(core, last=True)
     finally:
         gc.unfreeze()
         _close(parts)
@@ -88,7 +87,10 @@ def _assembled(
     """Everything made and connected, nothing opened but the log."""
     config = start.config
     now_ns = clock.read().run
-    session = mavlink_session(config.mavlink, directory) if config.mavlink.endpoint else None
+    session = None
+    if config.mavlink.endpoint:
+        known = start.saved.autopilot if start.saved is not None else None
+        session = mavlink_session(config.mavlink, directory, known)
     decoders = {bus.channel: can_decoders(bus, directory) for bus in config.can}
     feeds = make_feeds(config, directory, session, now_ns)
     sink = BackgroundFile(start.log)
@@ -119,6 +121,7 @@ def _assembled(
         decoders=decoders,
         session=session,
         preferred=PREFERRED,
+        known=start.known,
         publish=loop.publish,
         announce=loop.announce,
         stopwatch=time.perf_counter_ns,
@@ -147,39 +150,6 @@ def _close(parts: Parts) -> None:
         parts.ground.close()
     parts.log.close()
     parts.notifier.close()
-
-
-class _Keeper:
-    """Writes the state file in a thread: a disk that is slow must not hold up the loop."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._thread: threading.Thread | None = None
-        self._trouble = ""
-        self._said = False
-
-    def keep(self, core: Core) -> None:
-        """Keep what the run has learned, if it has learned anything."""
-        if self._trouble and not self._said:
-            self._said = True
-            core.event(Event(core.now_ns, "state-not-kept", self._trouble, "warning"))
-        source = known_imu(core.config)
-        biases = saved_state.learned(core.config, source, core.last) if source else None
-        if biases is None or (self._thread is not None and self._thread.is_alive()):
-            return
-        self._thread = threading.Thread(target=self._write, args=(biases,), daemon=True)
-        self._thread.start()
-
-    def wait(self) -> None:
-        """Let a write finish, for a few seconds."""
-        if self._thread is not None:
-            self._thread.join(5.0)
-
-    def _write(self, biases: saved_state.SavedBiases) -> None:
-        try:
-            saved_state.save(self._path, biases)
-        except saved_state.StateError as error:
-            self._trouble = str(error)
 
 
 def _summary(

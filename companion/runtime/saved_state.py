@@ -1,7 +1,11 @@
-"""Biases kept from run to run, so that a start need not find them again.
+"""What a run leaves for the next one: biases, heading, and which streams it used.
 
-They enter a run only through its configuration (``imu.gyro_bias_dps``, ``imu.accel_bias_mps2`` and
-their deviations), which the log keeps: a replay of a warm start needs no state file.
+Biases and heading enter a run only through its configuration (``imu.gyro_bias_dps``,
+``alignment.last_heading``, …), which the log keeps: a replay of a warm start needs no state file.
+The streams only say what need not be waited for; which were used, the log says anyway.
+
+Two files: one that is safe on the disk, written once a minute and at the end, and beside it one of
+the last second, which a killed process leaves and a power cut may spoil. The newer good one counts.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from companion.config import DEG, Config, to_toml
+from companion.config import DEG, Config, LastHeading, to_toml
 from companion.config.section import Section
 from companion.types import (
     COV_ACCEL_BIAS,
@@ -40,12 +44,10 @@ class StateError(CompanionError):
 
 
 class SavedBiases(Section, frozen=True):
-    """What is kept; the file has these keys."""
+    """Biases of one inertial unit."""
 
     source: str
-    """Inertial unit that they belong to."""
-    axes: tuple[tuple[float, ...], ...]
-    """``imu.axes`` that they were found with: biases are kept in body axes."""
+    """Unit that they belong to."""
     saved_ns: int
     """UTC [ns]."""
     gyro_bias_dps: Row
@@ -53,6 +55,21 @@ class SavedBiases(Section, frozen=True):
     """Of the worst axis."""
     accel_bias_mps2: Row
     accel_bias_sd_mps2: float
+
+
+class SavedState(Section, frozen=True):
+    """What is kept; the file has these keys."""
+
+    saved_ns: int
+    """UTC [ns]."""
+    axes: tuple[tuple[float, ...], ...]
+    """``imu.axes`` of the run: biases and heading are those of body axes."""
+    biases: SavedBiases | None = None
+    heading: LastHeading | None = None
+    inputs: dict[str, str] = msgspec.field(default_factory=dict)
+    """Stream that was used of each kind."""
+    autopilot: tuple[int, int] | None = None
+    """System and component of the autopilot."""
 
 
 def learned(config: Config, source: str, last: Solution) -> SavedBiases | None:
@@ -70,7 +87,6 @@ def learned(config: Config, source: str, last: Solution) -> SavedBiases | None:
         return None
     return SavedBiases(
         source=source,
-        axes=config.imu.axes,
         saved_ns=int(last.t_ns[-1]),
         gyro_bias_dps=_row(last.gyro_bias_b[-1] / DEG),
         gyro_bias_sd_dps=gyro_sd,
@@ -84,53 +100,101 @@ def _row(values: np.ndarray) -> Row:
     return x, y, z
 
 
-def save(path: Path, biases: SavedBiases) -> None:
-    """Write the file anew; a crash leaves the old one or the new one, never half of one.
+# ------------------------------------------------------------------ files
 
-    Raises :class:`StateError`.
+
+def of_last_second(path: Path) -> Path:
+    """The file beside ``path`` that is written every second."""
+    return path.with_name(f"{path.name}.now")
+
+
+def save(path: Path, state: SavedState, *, durable: bool = True) -> None:
+    """Write a file anew; a crash leaves the old one or the new one, never half of one.
+
+    After a power cut that holds for a ``durable`` one only. Raises :class:`StateError`.
     """
-    text = f"# Sensor biases, kept by companion from run to run.\n{to_toml(biases)}"
+    text = f"# State kept by companion from run to run.\n{to_toml(state)}"
+    path = path if durable else of_last_second(path)
     fresh = path.with_name(f"{path.name}.new")
     try:
         with fresh.open("w", encoding="utf-8") as file:
             file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         fresh.replace(path)
     except OSError as error:
         with suppress(OSError):
             fresh.unlink()
-        raise StateError(f"{path}: biases not kept: {error.strerror or error}") from None
+        raise StateError(f"{path}: state not kept: {error.strerror or error}") from None
 
 
-def read(path: Path) -> SavedBiases | None:
+def read(path: Path) -> SavedState | None:
     """What an earlier run kept; None without a file. Raises :class:`StateError`."""
+    newest = None
+    with suppress(StateError):  # what a power cut spoiled is no news: the other one is there
+        newest = _read(of_last_second(path))
+    kept = _read(path) if newest is None or path.exists() else None
+    found = [state for state in (kept, newest) if state is not None]
+    return max(found, key=lambda state: state.saved_ns, default=None)
+
+
+def _read(path: Path) -> SavedState | None:
     try:
-        saved = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), SavedBiases)
+        saved = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), SavedState)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise StateError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, msgspec.ValidationError) as error:
         raise StateError(f"{path}: not a state file: {' '.join(str(error).split())}") from None
-    deviations = (saved.gyro_bias_sd_dps, saved.accel_bias_sd_mps2)
-    values = (*saved.gyro_bias_dps, *saved.accel_bias_mps2, *deviations)
-    if not all(map(math.isfinite, values)) or min(deviations) <= 0:
+    if not (_sound_biases(saved.biases) and _sound_heading(saved.heading)):
         raise StateError(f"{path}: not a state file: values that are no numbers or not positive")
     return saved
 
 
-def warmed(config: Config, source: str, saved: SavedBiases, now_ns: int) -> Config:
-    """The configuration with biases as they were left, and deviations as large as their age asks.
+def _sound_biases(biases: SavedBiases | None) -> bool:
+    if biases is None:
+        return True
+    deviations = (biases.gyro_bias_sd_dps, biases.accel_bias_sd_mps2)
+    values = (*biases.gyro_bias_dps, *biases.accel_bias_mps2, *deviations)
+    return all(map(math.isfinite, values)) and min(deviations) > 0
 
-    var = saved² + walk² age + turn-on² min(1, age / day), at most turn-on². Raises
-    :class:`StateError` where they are not of this unit and mounting.
+
+def _sound_heading(heading: LastHeading | None) -> bool:
+    if heading is None:
+        return True
+    values = (heading.heading_deg, heading.sd_deg, heading.turn_dps)
+    return all(map(math.isfinite, values)) and heading.sd_deg > 0 and heading.turn_dps >= 0
+
+
+# ------------------------------------------------------------------ a start from them
+
+
+def warmed(config: Config, source: str, saved: SavedState, now_ns: int) -> Config:
+    """The configuration with biases and heading as they were left.
+
+    ``source``: the inertial unit of the configuration; empty where the autopilot's is used, which
+    has no biases to keep. Raises :class:`StateError` for a state of another unit or mounting.
+    """
+    if saved.axes != config.imu.axes:
+        raise StateError("what was kept was found with other 'imu.axes'")
+    if saved.biases is not None and source:
+        config = _with_biases(config, source, saved.biases, now_ns)
+    if saved.heading is not None:
+        alignment = msgspec.structs.replace(config.alignment, last_heading=saved.heading)
+        config = msgspec.structs.replace(config, alignment=alignment)
+    return config
+
+
+def _with_biases(config: Config, source: str, saved: SavedBiases, now_ns: int) -> Config:
+    """Biases as they were left, their deviations as large as their age asks.
+
+    var = saved² + walk² age + turn-on² min(1, age / day), at most turn-on².
     """
     imu = config.imu
     if saved.source != source:
         raise StateError(f"biases of '{saved.source}' are not those of '{source}'")
-    if saved.axes != imu.axes:
-        raise StateError("biases were found with other 'imu.axes'")
     for name, bias, sd in (
         ("gyro", saved.gyro_bias_dps, imu.gyro_bias_sd_dps),
         ("accelerometer", saved.accel_bias_mps2, imu.accel_bias_sd_mps2),

@@ -8,10 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import Config, parse, to_toml
 from companion.engine import Engine
 from companion.runtime import saved_state
+from companion.runtime.saved_state import SavedState
+from companion.selection import KINDS, Kind
 from companion.types import (
     NS,
     BaroSamples,
@@ -20,6 +23,8 @@ from companion.types import (
     GnssSamples,
     ImuSamples,
 )
+from drivers.mavlink.packer import Packer
+from drivers.mavlink.session import MavlinkSession, SessionSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +38,14 @@ class Start:
     """What was found on the way, for people and as events."""
     log: Path
     state: Path
+    saved: SavedState | None = None
+    """What an earlier run left, where it was of use."""
+
+    @property
+    def known(self) -> dict[Kind, str]:
+        """Streams that an earlier run used, by kind."""
+        inputs = self.saved.inputs if self.saved is not None else {}
+        return {kind: inputs[kind] for kind in KINDS.values() if kind in inputs}
 
 
 def prepare(config: Config, log: Path | None) -> Start:
@@ -58,11 +71,12 @@ def prepare(config: Config, log: Path | None) -> Start:
         except OSError as error:
             raise CompanionError(f"{folder}: {error.strerror or error}") from None
     notes: list[str] = []
+    saved: SavedState | None = None
     if config.live.warm_start:
-        config = _warmed(config, state, notes)
+        config, saved = _warmed(config, state, notes)
     # What a replay will read: not one bit of the configuration may be lost in spelling.
     toml = to_toml(config)
-    return Start(parse(toml), toml, tuple(notes), log, state)
+    return Start(parse(toml), toml, tuple(notes), log, state, saved)
 
 
 def known_imu(config: Config) -> str:
@@ -76,25 +90,34 @@ def known_imu(config: Config) -> str:
     return next((unit.name for bus in config.can for unit in bus.imu), "")
 
 
-def _warmed(config: Config, state: Path, notes: list[str]) -> Config:
+def _warmed(config: Config, path: Path, notes: list[str]) -> tuple[Config, SavedState | None]:
+    """The configuration with what ``path`` holds; notes say what that is, or why it is not used."""
     source = known_imu(config)
-    if not source:
-        return config
+    now_ns = time.time_ns()
     try:
-        saved = saved_state.read(state)
+        saved = saved_state.read(path)
         if saved is None:
-            return config
-        config = saved_state.warmed(config, source, saved, time.time_ns())
+            return config, None
+        config = saved_state.warmed(config, source, saved, now_ns)
     except saved_state.StateError as error:
         notes.append(f"cold start: {error}")
-        return config
-    age_s = max(0, time.time_ns() - saved.saved_ns) / NS
-    notes.append(f"warm start: biases of '{source}' as they were {age_s:.0f} s ago")
-    return config
+        return config, None
+    parts = []
+    if saved.biases is not None and source:
+        age_s = max(0, now_ns - saved.biases.saved_ns) / NS
+        parts.append(f"biases of '{source}' as they were {age_s:.0f} s ago")
+    if saved.heading is not None:
+        age_s = max(0, now_ns - saved.heading.t_ns) / NS
+        parts.append(f"heading {saved.heading.heading_deg % 360:.0f}° of {age_s:.0f} s ago")
+    if parts:
+        notes.append(f"warm start: {', '.join(parts)}")
+    return config, saved
 
 
 def warm_up(config: Config) -> None:
     """Run everything that a sample goes through once, so that none in flight is the first."""
+    if config.mavlink.endpoint:
+        _hear_an_autopilot()
     engine = Engine(config)
     n = 300
     t = NS * 1_700_000_000 + np.arange(n) * (NS // 100)
@@ -112,3 +135,16 @@ def warm_up(config: Config) -> None:
             engine.step(fix)
             engine.step(BaroSamples("baro", t[one], t[one], t[one], np.array([1e5])))
     engine.finish()
+
+
+def _hear_an_autopilot() -> None:
+    """Framer, decoder and converter, with a stranger's messages and a session of nobody."""
+    packer, now = Packer(system=1, component=1), NS * 1_700_000_000
+    beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_GENERIC, 0, 0, 4, 3)
+    pressure = mavlink.MAVLink_scaled_pressure_message(1000, 1000.0, 0.0, 2000)
+    pieces = [packer.pack(beat), packer.pack(pressure)]
+    for datagrams in (True, False):
+        session = MavlinkSession(SessionSettings(datagrams=datagrams))
+        for piece in pieces:
+            session.feed(1, now, piece)
+        session.take()

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from companion._jit import njit
 from companion.config import DEG, Config
 from companion.estimation import parameters as par
 from companion.estimation.recording import Chunk, nothing

@@ -12,8 +12,7 @@ vector code of the inner loops.
 
 from __future__ import annotations
 
-from numba import njit
-
+from companion._jit import njit
 from companion.estimation.covariance import STRIDE
 from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_GYRO_SCALE, L_N
 from companion.types import F64, I64

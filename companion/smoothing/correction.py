@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation import walk as w
 from companion.estimation.tape import F32
 from companion.navigation import layout as lo

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from companion._jit import njit
 from companion.estimation.tape import (
     C_STEP,
     COARSE,

@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 
-from companion._jit import njit
 from companion.config import Config
 from companion.estimation import parameters as par
 from companion.estimation.recording import Chunk, Tape

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.recording import Chunk
 from companion.estimation.tape import (
     C_STEP,

@@ -12,8 +12,8 @@ intervals, given out in forward order of time.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.covariance import STRIDE
 from companion.estimation.tape import (
     C_STEP,

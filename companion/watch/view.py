@@ -21,8 +21,8 @@ _STANDING = {"navigating": "bold green", "heading unknown": "bold yellow",
              "aligning": "bold yellow", "coasting": "bold red", "silent": "bold red",
              "gone": "bold red", "waiting": "bold yellow"}  # fmt: skip
 _STATE = {"ok": "green", "up": "green", "writing": "green", "back": "yellow", "slow": "yellow",
-          "waiting": "yellow", "retrying": "yellow", "silent": "red", "lost": "red",
-          "stopped": "red", "off": "", "warning": "yellow", "error": "red",
+          "waiting": "yellow", "retrying": "yellow", "no-fix": "yellow", "silent": "red",
+          "lost": "red", "stopped": "red", "off": "", "warning": "yellow", "error": "red",
           "info": ""}  # fmt: skip
 _WIDE_MS = 20.0
 """Latency that is worth looking at."""

@@ -48,6 +48,9 @@ class SessionSettings:
 
     system: int = 0
     """System id of the vehicle; 0: the first autopilot that is heard."""
+    known: tuple[int, int] | None = None
+    """(system, component) of the autopilot of an earlier run: any message of it will do, where
+    one that is new is waited for until its heartbeat."""
     component: int = ONBOARD_COMPUTER
     """Our own component id, in the vehicle's system."""
     imu: bool = True
@@ -151,6 +154,8 @@ class MavlinkSession:
         counters.bad_crc += index.bad_crc
         if len(index):
             self._frames(seq, t_rx_ns, buf, index)
+        # Not only at ticks: the first samples wait for the clocks to be matched.
+        self._ask_time(t_rx_ns)
 
     def _frames(self, seq: int, t_rx_ns: int, buf: U8, index: FrameIndex) -> None:
         rows = np.flatnonzero(index.checked)
@@ -158,6 +163,8 @@ class MavlinkSession:
         if self._signing is not None:
             rows = self._authentic(self._signing, t_rx_ns, buf, index, rows)
         beats = rows[index.msgid[rows] == _HEARTBEAT]
+        if self._vehicle is None:
+            self._recognise(t_rx_ns, index, rows)
         if len(beats):
             self._heartbeats(t_rx_ns, buf, index, beats)
         if self._vehicle is None:
@@ -201,6 +208,14 @@ class MavlinkSession:
                 self._adopt(sender, t_rx_ns)
             if sender == self._vehicle:
                 self._beat(int(beat["system_status"]), t_rx_ns)
+
+    def _recognise(self, t_rx_ns: int, index: FrameIndex, rows: I64) -> None:
+        known = self.settings.known
+        if known is None or self.settings.system not in (0, known[0]):
+            return
+        if np.any((index.system[rows] == known[0]) & (index.component[rows] == known[1])):
+            self._adopt(known, t_rx_ns)
+            self._heard_ns, self._alive = t_rx_ns, True
 
     def _adopt(self, vehicle: tuple[int, int], now_ns: int) -> None:
         self._vehicle = vehicle
@@ -291,13 +306,18 @@ class MavlinkSession:
             )
         if not self._alive:
             return
-        asked_ns = self.clock.sync.request(now_ns)
-        if asked_ns is not None:
-            self.send(mavlink.MAVLink_timesync_message(0, asked_ns))
+        self._ask_time(now_ns)
         self.clock.update(now_ns)
         if self.settings.request_rates and self._status >= _STANDBY:
             for message in self.rates.tick(now_ns, *self._vehicle):
                 self.send(message)
+
+    def _ask_time(self, now_ns: int) -> None:
+        if not self._alive:
+            return
+        asked_ns = self.clock.sync.request(now_ns)
+        if asked_ns is not None:
+            self.send(mavlink.MAVLink_timesync_message(0, asked_ns))
 
     # ------------------------------------------------------------------ out
 
@@ -335,6 +355,11 @@ class MavlinkSession:
         self, now_ns: int, kind: str, text: str, level: Literal["info", "warning"] = "info"
     ) -> None:
         self._events.append(Event(now_ns, kind, text, level))
+
+    @property
+    def vehicle(self) -> tuple[int, int] | None:
+        """(system, component) of the autopilot; None before it is heard."""
+        return self._vehicle
 
     @property
     def system(self) -> int:

@@ -28,9 +28,9 @@ _COARSE: F64 = np.linspace(-200e-6, 200e-6, 41)
 """Drifts that are tried first …"""
 _FINE: F64 = np.linspace(-10e-6, 10e-6, 21)
 """… and then around the best of them."""
-_BURST_NS, _BURST_STEP_NS = 3 * NS // 2, NS // 20
+_BURST_NS, _BURST_STEP_NS = 3 * NS // 2, NS // 40
 _STEP_NS = NS // 4
-"""Interval of requests: 20 Hz at first, then 4 Hz."""
+"""Interval of requests: up to 40 Hz at first, then 4 Hz."""
 _ANSWER_WITHIN_NS = NS
 """A slower answer says nothing about the clock."""
 

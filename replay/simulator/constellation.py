@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.gnss.atmosphere import klobuchar, troposphere
 from companion.gnss.geometry import geodetic, ned_axes
 from companion.gnss.orbit import (

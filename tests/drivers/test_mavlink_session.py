@@ -46,6 +46,20 @@ def test_samples_units_and_rates() -> None:
     assert flight.session.counters.bad_bytes == flight.session.counters.lost == 0
 
 
+def test_a_known_autopilot_needs_no_heartbeat() -> None:
+    """Its clock is asked for with its first message, whatever that is."""
+    frame = Packer(7, 1).pack(mavlink.MAVLink_scaled_pressure_message(5000, 1000.0, 0.0, 2000))
+    for known, found in (((7, 1), True), ((8, 1), False), (None, False)):
+        session = MavlinkSession(SessionSettings(known=known))
+        session.feed(1, NS, frame)
+        assert (session.vehicle is not None) == found
+        assert ([e.kind for e in session.events()] == ["autopilot-found"]) == found
+        assert len(session.outgoing()) == found  # TIMESYNC
+    other = MavlinkSession(SessionSettings(known=(7, 1), system=8))
+    other.feed(1, NS, frame)
+    assert other.vehicle is None
+
+
 def test_the_autopilots_solution_is_kept_apart() -> None:
     flight = air()
     flight.run(6.0)

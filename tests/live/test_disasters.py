@@ -101,15 +101,16 @@ def assert_nothing_lost(vehicle: VehicleProcess, summary: dict[str, Any]) -> Non
 def test_killed_in_mid_run(vehicle: VehicleProcess, folder: Path) -> None:
     config = config_beside(vehicle, folder, endpoint())
     path = written(config, folder)
-    saved = saved_state.SavedBiases(
+    now_ns = time.time_ns()
+    biases = saved_state.SavedBiases(
         source="can-imu",
-        axes=config.imu.axes,
-        saved_ns=time.time_ns(),
+        saved_ns=now_ns,
         gyro_bias_dps=(0.1, -0.1, 0.2),
         gyro_bias_sd_dps=0.2,
         accel_bias_mps2=(0.0, 0.05, 0.0),
         accel_bias_sd_mps2=0.1,
     )
+    saved = saved_state.SavedState(saved_ns=now_ns, axes=config.imu.axes, biases=biases)
     saved_state.save(folder / "demo.state.toml", saved)
     cut = folder / "cut.mcap"
     with Companion(path, cut) as first:

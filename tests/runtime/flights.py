@@ -60,6 +60,10 @@ class FakeSession:
     def tick(self, now_ns: int) -> None:
         pass
 
+    @property
+    def vehicle(self) -> tuple[int, int] | None:
+        return None
+
     def take(self) -> list[AnySamples]:
         out, self._samples = self._samples, []
         return sorted(out, key=lambda s: isinstance(s, ImuSamples))

@@ -20,6 +20,8 @@ class Bench:
         self.now = T0
         self.rates: dict[str, float] = dict(rates)
         self.events: list[Event] = []
+        self.unused: set[str] = set()
+        self.fix = True
         self._due = dict.fromkeys(rates, float(T0))
 
     def pass_time(self, seconds: float, **changed: float) -> list[str]:
@@ -33,18 +35,20 @@ class Bench:
                     self._due[kind] = self.now
                 while rate and self._due[kind] + NS / rate <= self.now:
                     self._due[kind] += NS / rate
-                    self.monitor.arrived(_kind(kind), kind, 1, int(self._due[kind]))
-            self.events += self.monitor.tick(self.now)
+                    good = self.fix or _kind(kind) != "gnss"
+                    self.monitor.arrived(_kind(kind), kind, 1, int(self._due[kind]), good)
+            self.events += self.monitor.tick(self.now, self.uses)
         return [e.kind for e in self.events[before:]]
 
+    def uses(self, _kind: Kind, source: str) -> bool:
+        return source not in self.unused
+
     def report(self, mode: Mode = Mode.NAVIGATING, log: LogHealth = LOG) -> Health:
-        return self.monitor.report(
-            self.now, mode, lambda *_: True, lambda _: (3, 1), LOOP, log, {"x": 1}
-        )
+        return self.monitor.report(self.now, mode, self.uses, lambda _: (3, 1), LOOP, log, {"x": 1})
 
 
 def _kind(name: str) -> Kind:
-    return "imu" if name == "imu" else "gnss"
+    return "imu" if name.startswith("imu") else "gnss"
 
 
 def test_from_waiting_to_ok() -> None:
@@ -103,6 +107,35 @@ def test_a_slow_receiver_has_a_longer_time_out() -> None:
     bench = Bench(gnss=1.0)
     assert bench.pass_time(10.0) == ["gnss-heard"]
     assert bench.pass_time(4.0, gnss=0.0) == ["gnss-silent"]
+
+
+def test_a_receiver_without_a_fix() -> None:
+    bench = Bench(imu=100.0, gnss=5.0)
+    bench.pass_time(3.0)
+    bench.fix = False
+    assert bench.pass_time(1.0) == []
+    assert bench.pass_time(3.0) == ["gnss-no-fix"]
+    report = bench.report()
+    assert (report.level, report.text) == ("warning", "GNSS gnss without a fix")
+    assert report.sensors[1].rate_hz > 4.0
+    bench.unused.add("gnss")  # as at a start: the estimator takes it once it has a fix
+    assert "without a fix" in bench.report(Mode.ALIGNING).text
+    bench.fix = True
+    assert bench.pass_time(1.0) == []
+    assert bench.report().sensors[1].state == "ok"
+
+
+def test_a_stream_that_nobody_uses_may_come_and_go() -> None:
+    bench = Bench(imu=100.0, imu2=2.0, imu3=50.0)
+    bench.unused |= {"imu2", "imu3"}
+    bench.monitor.expect("imu", "imu3")
+    bench.pass_time(3.0)
+    assert bench.pass_time(3.0, imu2=0.0) == []
+    assert [s.state for s in bench.report().sensors if s.source == "imu2"] == ["silent"]
+    assert bench.report().level == "ok"
+    # A unit of the configuration is missed, but the estimator does not depend on it.
+    assert bench.pass_time(3.0, imu3=0.0) == ["imu-silent"]
+    assert bench.events[-1].level == "warning"
 
 
 def test_links() -> None:

@@ -17,7 +17,7 @@ from companion.runtime.feeds import make_feeds
 from companion.runtime.latency import Latencies
 from companion.runtime.links import CanLink
 from companion.runtime.systemd import Notifier
-from companion.selection import Selection, Thinner
+from companion.selection import Kind, Selection, Thinner
 from companion.types import NS, BaroSamples, ConfigError, ImuSamples, LinkLost, MagSamples
 from drivers.can_imu import CanTransport
 from drivers.can_imu.transport import ReceivedFrame
@@ -110,6 +110,22 @@ def test_a_stream_that_speeds_up_is_taken_when_it_has() -> None:
     used = _used(selection, blocks)
     assert 100 < len(used) < 250
     assert selection.chosen[0].first_seq > 10 * NS
+
+
+def test_what_an_earlier_run_used_is_used_at_once_if_it_is_good() -> None:
+    known: dict[Kind, str] = {"imu": "RAW_IMU", "gnss": "GPS2_RAW"}
+    preferred = {"imu": ("HIGHRES_IMU", "RAW_IMU")}
+    both = [*_stream("RAW_IMU", 50, 0, 5), *_stream("HIGHRES_IMU", 50, 0, 5)]
+    used = _used(Selection(Config(), preferred=preferred, known=known), both)
+    assert set(used) == {"RAW_IMU"}
+    assert len(used) > 240  # of 250: what it takes to see that it is fast enough
+    slow = [*_stream("RAW_IMU", 4, 0, 5), *_stream("HIGHRES_IMU", 50, 0, 5)]
+    selection = Selection(Config(), preferred=preferred, known=known)
+    assert set(_used(selection, slow)) == {"HIGHRES_IMU"}
+    fix = vehicle()[0].gnss[0].take(slice(0, 1))
+    blind = replace(fix, source="GPS2_RAW", fix_type=np.zeros(1, np.int64))
+    assert selection.offer(blind) is None
+    assert selection.offer(replace(fix, source="GPS2_RAW")) is not None
 
 
 def test_a_named_or_configured_imu_is_used_at_once_and_no_other() -> None:

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config import Config, Imu, Log, Mavlink, parse
+from companion.config import Config, Imu, LastHeading, Log, Mavlink, parse
 from companion.runtime import saved_state
-from companion.runtime.saved_state import SavedBiases, StateError
+from companion.runtime.saved_state import SavedBiases, SavedState, StateError
 from companion.runtime.start import known_imu, prepare
 from companion.types import COV_ACCEL_BIAS, COV_GYRO_BIAS, NS, Mode, Solution
 
@@ -21,17 +21,17 @@ NOW = 1_750_000_000 * NS
 CONFIG = Config(imu=Imu(gyro_bias_sd_dps=0.5, accel_bias_sd_mps2=0.2))
 
 
-def _saved(age_s: float = 0.0, **changes: object) -> SavedBiases:
+def _saved(age_s: float = 0.0, axes: object = CONFIG.imu.axes, **changes: object) -> SavedState:
     values = {
         "source": "imu",
-        "axes": CONFIG.imu.axes,
         "saved_ns": NOW - round(age_s * NS),
         "gyro_bias_dps": (0.1, -0.2, 0.3),
         "gyro_bias_sd_dps": 0.01,
         "accel_bias_mps2": (0.05, 0.0, -0.1),
         "accel_bias_sd_mps2": 0.02,
     }
-    return SavedBiases(**{**values, **changes})  # type: ignore[arg-type]
+    biases = SavedBiases(**{**values, **changes})  # type: ignore[arg-type]
+    return SavedState(saved_ns=biases.saved_ns, axes=axes, biases=biases)  # type: ignore[arg-type]
 
 
 def _epoch(gyro_sd_dps: float, mode: Mode = Mode.NAVIGATING) -> Solution:
@@ -58,8 +58,10 @@ def test_what_a_run_learned_is_kept_and_read(tmp_path: Path) -> None:
     kept = saved_state.learned(CONFIG, "imu", _epoch(0.02))
     assert kept is not None
     path = tmp_path / "v.state.toml"
-    saved_state.save(path, kept)
-    again = saved_state.read(path)
+    saved_state.save(path, SavedState(saved_ns=NOW, axes=CONFIG.imu.axes, biases=kept))
+    state = saved_state.read(path)
+    assert state is not None
+    again = state.biases
     assert again == kept
     assert np.allclose(again.gyro_bias_dps, (0.1, -0.2, 0.3))
     assert again.gyro_bias_sd_dps == pytest.approx(0.02)
@@ -72,6 +74,20 @@ def test_what_a_run_learned_is_kept_and_read(tmp_path: Path) -> None:
 )
 def test_what_is_not_worth_keeping(last: Solution) -> None:
     assert saved_state.learned(CONFIG, "imu", last) is None
+
+
+def test_the_last_second_counts_where_it_is_newer_and_whole(tmp_path: Path) -> None:
+    path = tmp_path / "v.state.toml"
+    saved_state.save(path, _saved(30.0))
+    saved_state.save(path, _saved(1.0), durable=False)
+    assert saved_state.read(path) == _saved(1.0)
+    saved_state.save(path, _saved(0.0))
+    assert saved_state.read(path) == _saved(0.0)
+    saved_state.of_last_second(path).write_bytes(b"\x00" * 300)  # what a power cut leaves
+    assert saved_state.read(path) == _saved(0.0)
+    path.unlink()
+    saved_state.save(path, _saved(1.0), durable=False)
+    assert saved_state.read(path) == _saved(1.0)
 
 
 def test_a_crash_while_writing_leaves_the_old_file(tmp_path: Path) -> None:
@@ -155,6 +171,20 @@ def test_a_run_begins_warm_and_says_so(tmp_path: Path) -> None:
     assert start.log.parent == tmp_path
 
 
+def test_heading_and_streams_of_an_earlier_run(tmp_path: Path) -> None:
+    heading = LastHeading(heading_deg=-170.0, sd_deg=2.0, t_ns=NOW, turn_dps=3.0)
+    saved = msgspec.structs.replace(
+        _saved(), heading=heading, inputs={"gnss": "GPS2_RAW", "sonar": "x"}, autopilot=(3, 1)
+    )
+    saved_state.save(tmp_path / "vehicle.state.toml", saved)
+    start = prepare(_config(tmp_path), None)
+    assert start.saved == saved
+    assert start.config.alignment.last_heading == heading
+    assert parse(start.toml) == start.config
+    assert start.known == {"gnss": "GPS2_RAW"}
+    assert "heading 190°" in start.notes[0]
+
+
 def test_garbage_is_a_note_and_a_cold_start(tmp_path: Path) -> None:
     (tmp_path / "vehicle.state.toml").write_text("garbage")
     start = prepare(_config(tmp_path), None)
@@ -169,4 +199,6 @@ def test_the_autopilots_imu_starts_cold(tmp_path: Path) -> None:
     )
     saved_state.save(tmp_path / "vehicle.state.toml", _saved())
     assert known_imu(config) == ""
-    assert prepare(config, None).notes == ()
+    start = prepare(config, None)
+    assert start.notes == ()
+    assert start.config.imu.gyro_bias_dps == (0.0, 0.0, 0.0)

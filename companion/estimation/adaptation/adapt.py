@@ -7,8 +7,8 @@ with the rest; a bank over headings, whose innovations tell of the wrong heading
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.adaptation import baselines as bl
 from companion.estimation.adaptation.flac import fade, flac_scale
 from companion.estimation.adaptation.fuzzy import fuzzy_scale, gather_q

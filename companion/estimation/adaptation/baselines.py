@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.adaptation.layout import COUNT, RATE, RING, SHAPE
 from companion.estimation.adaptation.parameters import (
     FORGETTING,

@@ -12,8 +12,8 @@ without that limit a heading that nothing observes is lost within seconds.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.adaptation.fuzzy import fire
 from companion.estimation.adaptation.layout import COUNT, FADE, FIRING, IN_MEAN, IN_SPREAD
 from companion.estimation.adaptation.parameters import ALPHA_TABLE, LENGTH

@@ -8,8 +8,8 @@ r / (1 + r) with r the ratio of the two variances, is a number without a unit or
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.parameters import ACCEL_PSD, GYRO_PSD
 from companion.navigation.layout import STILL_RING, STILL_SUB, VIBRATION
 from companion.types import F64

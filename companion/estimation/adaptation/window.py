@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.adaptation.layout import COUNT, NEXT, RING
 from companion.types import F64
 
