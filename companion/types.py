@@ -389,7 +389,8 @@ class Verdict(IntEnum):
     """The receiver itself says that there is no fix, or accuracy is beyond the limit."""
     REFUSED_INVALID = 4
     """Non-finite or impossible values."""
-    # 5 was taken once; logs of then may hold it.
+    REFUSED_NOT_ALIGNED = 5
+    """There is no solution yet to compare it with."""
     REFUSED_CLOCK = 6
     """Its time of validity cannot be right (far in the future)."""
     REJECTED_SOURCE = 7
