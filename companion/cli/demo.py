@@ -13,7 +13,7 @@ from companion.cli.commands import compile_kernels, plain
 from companion.types import CompanionError, Mode
 
 if TYPE_CHECKING:
-    from replay.demo.flight import Moment
+    from replay.demo.flight import Files, Moment
 
 TELL_EVERY_S = 5.0
 
@@ -31,7 +31,7 @@ def run_demo(console: Console, directory: Path, seconds: float, imu_hz: float) -
     figures = fly(files, seconds, imu_hz, _Teller(console))
     figures = plain({"seconds": seconds, "directory": str(directory), **figures})
     _show(console, figures)
-    _show_next(console, files.log, files.truth)
+    _show_next(console, files)
     if not figures["digest"]["equal"]:
         raise CompanionError(
             f"live and replay differ: {figures['digest']['live']} and "
@@ -98,6 +98,7 @@ def _show(console: Console, figures: dict[str, Any]) -> None:
             f"{smoothed['velocity_rmse_mps']['3d']:.3f} m/s: the same log, every epoch from all "
             "measurements"
         )
+    console.print(escape(figures["report"]["headline"]), highlight=False)
     digest = figures["digest"]
     verdict = "equal to the bit" if digest["equal"] else "[red]different[/red]"
     console.print(
@@ -106,14 +107,15 @@ def _show(console: Console, figures: dict[str, Any]) -> None:
     )
 
 
-def _show_next(console: Console, log: Path, truth: Path) -> None:
-    console.print(f"Run log   {escape(str(log))}")
+def _show_next(console: Console, files: Files) -> None:
+    console.print(f"Run log   {escape(str(files.log))}")
+    console.print(f"Report    {escape(str(files.report))}, for a browser")
     console.print("Try next")
     for line in (
-        f"companion evaluate {log} --truth {truth}",
-        f"companion replay {log} --outage 20+8 --out outage.mcap",
-        f"companion smooth {log}",
-        f"companion export {log} --format csv -o demo.csv",
+        f"companion evaluate {files.log} --truth {files.truth}",
+        f"companion replay {files.log} --outage 20+8 --out outage.mcap",
+        f"companion smooth {files.log}",
+        f"companion export {files.log} --format kml -o demo.kml",
         "companion check configs/multirotor.toml    # with your own links in it; then: run",
     ):
         console.print(f"  {escape(line)}", highlight=False)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.config import Config, to_toml
-from companion.types import CompanionError, VehicleRecording
+from companion.types import AidingReports, CompanionError, Solution, VehicleRecording
 from replay.children import Child, free_port
 from replay.configuration import choose_config
 from replay.demo.figures import (
@@ -21,6 +21,7 @@ from replay.demo.figures import (
     read_received,
     spread,
 )
+from replay.export import export_csv
 from replay.reader import read_log
 from replay.run_log import RunResult, read_solution
 from replay.sensor_folder import read_reference
@@ -65,6 +66,11 @@ class Files:
     def smoothed(self) -> Path:
         """The track smoothed afterwards, in the columns of ``export``."""
         return self.directory / "smoothed.csv"
+
+    @property
+    def report(self) -> Path:
+        """The page about the flight."""
+        return self.directory / "report.html"
 
     @property
     def received(self) -> Path:
@@ -175,6 +181,9 @@ def _figures(files: Files) -> dict[str, Any]:
     chosen = choose_config(recording)
     flown = replace(recording.vehicles[0], truth=truth)
     replayed = run_session(flown, chosen)
+    track = _smoothed(flown, chosen.config)
+    if track is not None:
+        export_csv(track, files.smoothed)
     inputs = {
         s.source: {"kind": s.kind, "rate_hz": s.rate_hz, "samples": s.count}
         for s in recording.vehicles[0].streams
@@ -186,7 +195,8 @@ def _figures(files: Files) -> dict[str, Any]:
         "latency_ms": spread(received.latency_ms, LATENCY),
         "position_error": position_errors(received, truth),
         "accuracy": _accuracy(flown, chosen.config, stored),
-        "smoothed": _smoothed(flown, chosen.config, files.smoothed),
+        "smoothed": _smoothed_accuracy(flown, chosen.config, track),
+        "report": _report(files, flown, chosen.config, stored, track),
         "digest": {
             "live": stored.digest,
             "replayed": replayed.digest,
@@ -216,22 +226,53 @@ def _accuracy(flown: VehicleRecording, config: Config, stored: RunResult) -> dic
     return None
 
 
-def _smoothed(flown: VehicleRecording, config: Config, path: Path) -> dict[str, Any] | None:
-    """The log smoothed into a track, and its errors; None for a flight too short to align in."""
+def _smoothed(flown: VehicleRecording, config: Config) -> Solution | None:
+    """The log's track, smoothed; None for a flight too short to align in."""
     from companion.smoothing.offline import smooth
-    from replay.assessment import assess
-    from replay.evaluation import EvaluationError
-    from replay.export import export_csv
     from replay.recorded import record
 
     run = record(flown, config, rate_hz=SMOOTHED_HZ)
     track = smooth(run.tapes, run.config)
-    if not len(track):
+    return track if len(track) else None
+
+
+def _smoothed_accuracy(
+    flown: VehicleRecording, config: Config, track: Solution | None
+) -> dict[str, Any] | None:
+    from replay.assessment import assess
+    from replay.evaluation import EvaluationError
+
+    if track is None:
         return None
-    export_csv(track, path)
     with suppress(EvaluationError):
-        return assess(flown, config, track, run.reports, solution_kind="smoothed").to_json()
+        none = AidingReports.empty()  # innovations belong to the forward run
+        return assess(flown, config, track, none, solution_kind="smoothed").to_json()
     return None
+
+
+def _report(
+    files: Files,
+    flown: VehicleRecording,
+    config: Config,
+    stored: RunResult,
+    track: Solution | None,
+) -> dict[str, str]:
+    """The page about the flight, written; its verdict."""
+    from replay.report.page import write_report
+    from replay.report.run_view import RunView
+
+    view = RunView(
+        name=files.log.name,
+        vehicle=flown,
+        config=config,
+        solution=stored.solution,
+        reports=stored.reports,
+        events=stored.events,
+        smoothed=track,
+        digest=stored.digest,
+    )
+    judgement = write_report(view, files.report)
+    return {"verdict": judgement.level, "headline": judgement.headline}
 
 
 def _rate(received: Received) -> float | None:
