@@ -267,7 +267,7 @@ def _fill_covariance(
     P = setup.covariance(s)
     P[np.diag_indices(setup.layout.n)] = known.var
     still = lev.static and not np.isfinite(fix[3])
-    unknown = (0.3 if still else 10.0, 0.3 if still else 10.0, 0.3 if lev.static else 3.0)
+    unknown = (0.3 if still else 10.0, 0.3 if still else 10.0, 3.0)
     velocity_var = np.where(np.isfinite(fix[3:6]), fix[9:12], np.square(unknown))
     lever = s[lo.LEVER_B : lo.LEVER_B + 3]
     place_at(setup, s, fix[:3], fix[6:9] + float(lever @ lever))

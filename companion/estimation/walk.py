@@ -475,7 +475,15 @@ def walk(
             s[LAST_GYRO + c] = sample[c]
         k[T_IMU] = t
         observe(
-            s, k, sample, t, ipar[STILL_NS], par[STILL_GYRO], par[STILL_ACCEL], par[STILL_SPEED]
+            s,
+            k,
+            lay[L_N],
+            sample,
+            t,
+            ipar[STILL_NS],
+            par[STILL_GYRO],
+            par[STILL_ACCEL],
+            par[STILL_SPEED],
         )
         standing = k[STANDING] == 3 and ipar[ZERO_VELOCITY] == 1
         due = ipar[CONSTRAINT_NS] > 0 and t >= (k[T_CONSTRAINT] + 1) * ipar[CONSTRAINT_NS]

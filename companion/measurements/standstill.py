@@ -6,6 +6,10 @@ GNSS velocity says otherwise. The spread at rest is learned while GNSS itself sa
 motion: an engine at idle or a rotor on the ground sets its own measure, and a smooth cruise, which
 means alone cannot tell from rest, shows more of it. Nothing learned and no GNSS: never standing.
 
+A receiver that gives no vertical velocity cannot vouch for a steady climb, and one that starts or
+ends smoothly keeps its means for a window: so the filter's own vertical velocity, as far as heights
+have made it sure, and the amount of the force, which at rest is gravity's, have to agree as well.
+
 A smooth pull-away passes all of that: its acceleration is constant within a window. So the force at
 which the vehicle came to stand is kept, and a window that departs from it is motion, until it is
 back, or something else shows that the vehicle has been elsewhere since.
@@ -18,13 +22,17 @@ import math
 import numpy as np
 
 from companion._jit import njit
+from companion.navigation.earth import gravity_at
 from companion.navigation.layout import (
+    ACCEL_BIAS,
+    ACCEL_BIAS_B,
     EARTH_RATE,
     GNSS_SPEED,
     GNSS_SPEED_SD,
     GYRO_BIAS,
     GYRO_BIAS_B,
     GYRO_VIBRATION,
+    HEIGHT,
     L_N,
     LAT,
     STANDING,
@@ -39,9 +47,12 @@ from companion.navigation.layout import (
     VEL,
     VEL_N,
     VIBRATION,
+    P,
 )
 from companion.types import F64, I64
 
+RISE_MPS = 0.1
+"""Vertical speed that counts as none, on top of two standard deviations of the filter's own."""
 FRESH_NS = 2_000_000_000
 """A GNSS velocity older than this says nothing about standing."""
 SPREAD_RATIO = 4.0
@@ -86,12 +97,33 @@ def _at_anchor(s: F64, tolerance: float, fresh: bool) -> bool:
     return True
 
 
-@njit("i8(f8[::1], i8[::1], i8, f8, f8, f8)", cache=True)
-def _decide(s: F64, k: I64, t: int, gyro: float, accel: float, speed: float) -> int:
+@njit("b1(f8[::1], i8, f8)", cache=True)
+def _moves_vertically(s: F64, n: int, accel: float) -> bool:
+    """Whether the filter knows of a climb, or the window's mean force is not gravity's amount."""
+    diagonal = n + 1
+    if abs(s[VEL_N + 2]) > RISE_MPS + 2.0 * math.sqrt(s[P + (VEL + 2) * diagonal]):
+        return True
+    square = 0.0
+    variance = 0.0
+    for i in range(3):
+        mean = 0.0
+        for b in range(STILL_SUB):
+            mean += s[STILL_RING + 12 * b + 3 + i] / STILL_SUB
+        square += (mean - s[ACCEL_BIAS_B + i]) ** 2
+        variance = max(variance, s[P + (ACCEL_BIAS + i) * diagonal])
+    off = math.sqrt(square) - gravity_at(math.sin(s[LAT]) ** 2, s[HEIGHT])
+    return abs(off) > accel + 3.0 * math.sqrt(variance)
+
+
+@njit("i8(f8[::1], i8[::1], i8, i8, f8, f8, f8)", cache=True)
+def _decide(s: F64, k: I64, n: int, t: int, gyro: float, accel: float, speed: float) -> int:
     if k[STILL_COUNT] < STILL_SUB:
         return 0
     fresh = t - k[T_GNSS_SPEED] < FRESH_NS and k[T_GNSS_SPEED] > 0
     if fresh and s[GNSS_SPEED] > speed + 2.0 * s[GNSS_SPEED_SD]:
+        s[STILL_ANCHOR] = 0.0
+        return 0
+    if _moves_vertically(s, n, accel):
         s[STILL_ANCHOR] = 0.0
         return 0
     learned = s[STILL_LEARNED] > 0.0
@@ -124,15 +156,24 @@ def _decide(s: F64, k: I64, t: int, gyro: float, accel: float, speed: float) -> 
     return 1
 
 
-@njit("void(f8[::1], i8[::1], f8[:], i8, i8, f8, f8, f8)", cache=True)
+@njit("void(f8[::1], i8[::1], i8, f8[:], i8, i8, f8, f8, f8)", cache=True)
 def observe(
-    s: F64, k: I64, sample: F64, t: int, quarter_ns: int, gyro: float, accel: float, speed: float
+    s: F64,
+    k: I64,
+    n: int,
+    sample: F64,
+    t: int,
+    quarter_ns: int,
+    gyro: float,
+    accel: float,
+    speed: float,
 ) -> None:
     """Take in one inertial sample (≥ 6,); at the end of a quarter window, decide.
 
     Sets ``k[STANDING]`` to 1 (standing), 0 (moving) and to 2 + that at the sample which
     closed a quarter, so that the walker applies the updates once a quarter. ``gyro``, ``accel``:
-    largest spread of the means; ``speed``: fastest GNSS speed that counts as none.
+    largest spread of the means; ``speed``: fastest GNSS speed that counts as none; ``n``: states
+    of the filter.
     """
     k[STANDING] &= 1
     if t >= (k[STILL_CELL] + 1) * quarter_ns:
@@ -147,7 +188,7 @@ def observe(
             for i in range(3):
                 s[GYRO_VIBRATION + i] = s[slot + 6 + i]
             k[STILL_COUNT] += 1
-            k[STANDING] = 2 + _decide(s, k, t, gyro, accel, speed)
+            k[STANDING] = 2 + _decide(s, k, n, t, gyro, accel, speed)
         else:
             k[STILL_COUNT] = 0
             k[STANDING] = 0

@@ -20,6 +20,6 @@ def test_vibration_of_the_last_quarter_is_kept_axis_by_axis() -> None:
     mean = np.array([0.001, -0.002, 0.003, 0.1, 0.2, -9.8])
     for i in range(RATE_HZ):
         sample = np.append(mean + amplitude * np.sin(2 * np.pi * 20 * i / RATE_HZ), 0.0)
-        observe(s, k, sample, i * NS // RATE_HZ, QUARTER_NS, 0.01, 0.1, 0.3)
+        observe(s, k, lo.CORE_STATES, sample, i * NS // RATE_HZ, QUARTER_NS, 0.01, 0.1, 0.3)
     assert s[lo.GYRO_VIBRATION : lo.GYRO_VIBRATION + 3] == pytest.approx(amplitude[:3] ** 2 / 2)
     assert s[lo.VIBRATION] == pytest.approx(np.mean(amplitude[3:] ** 2 / 2))
