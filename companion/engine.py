@@ -31,12 +31,13 @@ from companion.estimation.stretch import Stretch
 from companion.intake.aids import NEVER, Admitted, AidIntake
 from companion.intake.counters import Counters
 from companion.intake.inertial import CHUNK, CLOCK_BACK_NS, InertialIntake, in_order
-from companion.outlet import NO_SOLUTION, NOTHING, Outlet, join, reports
+from companion.outlet import NO_SOLUTION, NOTHING, Outlet, join, reports, trace
 from companion.smoothing.on_line import OnLine
 from companion.types import (
     F64,
     I64,
     NS,
+    AdaptationTrace,
     AidingReports,
     AidingSamples,
     AnySamples,
@@ -108,7 +109,9 @@ class Engine:
                 self._step_aids(mag)
         self._step_aids(samples)
         # Rows walked again settle with the next inertial samples; what is new is said at once.
-        return Outputs(NO_SOLUTION, NO_SOLUTION, self._reports(), self._outlet.events(self.filter))
+        said, traced = self._reports()
+        events = self._outlet.events(self.filter)
+        return Outputs(NO_SOLUTION, NO_SOLUTION, said, events, adaptation=traced)
 
     def step_block(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
         """Take inertial samples and the aiding that arrived among them, as their ``seq`` says.
@@ -323,18 +326,21 @@ class Engine:
         head = self._head
         return NEVER if head is None else head - self._ring_ns - 1
 
-    def _reports(self) -> AidingReports:
-        return reports(self.filter.reports, self._aiding.take_refusals())
+    def _reports(self) -> tuple[AidingReports, AdaptationTrace]:
+        traced = trace(self.filter.reports)
+        return reports(self.filter.reports, self._aiding.take_refusals()), traced
 
     def _drain(self, final: bool = False) -> Outputs:
         """What is new and, behind the delay ring or at the end, what is settled."""
         head, horizon = self._head, self._horizon(final)
         self._outlet.publish(self.filter)
+        said, traced = self._reports()
         out = Outputs(
             self._outlet.published(),
             self._outlet.settled(self.filter.rows, horizon),
-            self._reports(),
+            said,
             self._outlet.events(self.filter, horizon),
+            adaptation=traced,
         )
         if head is None or abs(head - self._forgot_ns) > FORGET_NS:
             self._forget(head)

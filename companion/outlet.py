@@ -11,15 +11,25 @@ import numpy as np
 
 from companion.estimation import update as up
 from companion.estimation import walk as w
+from companion.estimation.adaptation import layout as al
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.digest import RowDigest
 from companion.estimation.error_state import ErrorStateFilter
-from companion.types import F64, I64, AidingReports, Event, Outputs, Solution
+from companion.types import (
+    F64,
+    I64,
+    AdaptationTrace,
+    AidingReports,
+    Event,
+    Outputs,
+    Solution,
+)
 
 _NEVER = int(np.iinfo(np.int64).min)
 
 NO_SOLUTION = Solution.empty()
 NO_REPORTS = AidingReports.empty()
+NO_TRACE = AdaptationTrace.empty()
 NOTHING = Outputs(NO_SOLUTION, NO_SOLUTION, NO_REPORTS, ())
 """What a step gives out that leaves nothing to say."""
 
@@ -99,6 +109,32 @@ class Outlet:
                 self._unsaid.append(event)
 
 
+def trace(buffer: SampleBuffer) -> AdaptationTrace:
+    """What the adaptation says in the report rows of ``buffer``, as columns."""
+    if not len(buffer):
+        return NO_TRACE
+    rows = buffer.rows[buffer.start : buffer.end]
+    at = np.flatnonzero(rows[:, up.R_TRACE + al.TRACED])
+    if not len(at):
+        return NO_TRACE
+    r = rows[at]
+    x = r[:, up.R_TRACE :]
+    return AdaptationTrace(
+        buffer.t[buffer.start : buffer.end][at],
+        r[:, up.R_CHANNEL].astype(np.int64),
+        r[:, up.R_SOURCE].astype(np.int64),
+        x[:, al.IN_MEAN],
+        x[:, al.IN_SPREAD],
+        x[:, al.IN_CORRELATION],
+        x[:, al.TO_MODEL],
+        x[:, al.TO_SOURCE],
+        x[:, al.FIRING : al.FIRING + 9],
+        x[:, al.OUT_R],
+        x[:, al.OUT_Q],
+        x[:, al.OUT_ALPHA],
+    )
+
+
 def reports(buffer: SampleBuffer, refusals: list[AidingReports]) -> AidingReports:
     """``refusals`` and the report rows of ``buffer``, which is empty afterwards, as columns."""
     parts = refusals
@@ -139,6 +175,7 @@ def join(parts: list[Outputs]) -> Outputs:
         Solution.concatenate([p.settled for p in parts]),
         AidingReports.concatenate([p.reports for p in parts]),
         tuple(e for p in parts for e in p.events),
+        adaptation=AdaptationTrace.concatenate([p.adaptation for p in parts if len(p.adaptation)]),
     )
 
 

@@ -445,6 +445,76 @@ SMOOTHING_GAVE_WAY, SMOOTHING_RESUMED = "smoothing-gave-way", "smoothing-resumed
 """Kinds of event that a replay follows: their times say which windows a live run left out."""
 
 
+class Rule(IntEnum):
+    """The nine rules of an adaptation, by what the innovations of a window look like.
+
+    Spread against what the filter believes of it, mean against the spread.
+    """
+
+    SPREAD_LOW_MEAN_ZERO = 0
+    SPREAD_LOW_MEAN_SMALL = 1
+    SPREAD_LOW_MEAN_LARGE = 2
+    SPREAD_USUAL_MEAN_ZERO = 3
+    SPREAD_USUAL_MEAN_SMALL = 4
+    SPREAD_USUAL_MEAN_LARGE = 5
+    SPREAD_HIGH_MEAN_ZERO = 6
+    SPREAD_HIGH_MEAN_SMALL = 7
+    SPREAD_HIGH_MEAN_LARGE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptationTrace:
+    """Why a measurement was trusted as it was: one row an adapted update, as columns."""
+
+    t_ns: I64
+    channel: I64
+    """(N,) :class:`Channel`."""
+    source: I64
+    """(N,) as in the aiding reports."""
+    mean: F64
+    """(N,) deviate of the innovations' mean, standard normal for a healthy sensor; NaN, as the
+    next two, where the window is too short or the method does not look."""
+    spread: F64
+    """(N,) deviate of their scatter about it."""
+    correlation: F64
+    """(N,) deviate of their lag-one correlation."""
+    to_model: F64
+    """(N,) share of a mean that is taken for the inertial unit's, 0 to 1."""
+    to_source: F64
+    """(N,) share that is taken for a fault of the source: nothing is scaled for it."""
+    firing: F64
+    """(N, 9) strength of each :class:`Rule`; all zero where a method has none."""
+    r_scale: F64
+    """(N,) factor on R of this measurement."""
+    q_scale: F64
+    """(N,) factor on the noise of the inertial unit from here on."""
+    alpha: F64
+    """(N,) exponential weight of the epoch (FLAC); 1 without."""
+
+    def __len__(self) -> int:
+        return int(self.t_ns.shape[0])
+
+    @property
+    def rule(self) -> I64:
+        """(N,) the :class:`Rule` that fired most, or −1 where none did."""
+        winner: I64 = np.argmax(self.firing, axis=1)
+        return np.where(self.firing.any(axis=1), winner, -1)
+
+    @classmethod
+    def empty(cls) -> AdaptationTrace:
+        i, z = np.zeros(0, np.int64), np.zeros(0)
+        return cls(i, i, i, z, z, z, z, z, np.zeros((0, 9)), z, z, z)
+
+    @classmethod
+    def concatenate(cls, parts: list[AdaptationTrace]) -> AdaptationTrace:
+        """Join in order; empty for an empty list."""
+        if not parts:
+            return cls.empty()
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that a person or a program downstream should know, at its time."""
@@ -472,6 +542,7 @@ class Outputs:
     events: tuple[Event, ...]
     smoothed: Smoothed = NO_SMOOTHED
     """Only from :meth:`companion.engine.Engine.smooth`."""
+    adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
 
 
 # --------------------------------------------------------------------------- health

@@ -10,7 +10,7 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from companion.proto import health_pb2, navigation_pb2, run_pb2, samples_pb2
+from companion.proto import adaptation_pb2, health_pb2, navigation_pb2, run_pb2, samples_pb2
 
 LOG_FORMAT = 1
 """Raised when a reader of the previous format would misread the log."""
@@ -31,6 +31,7 @@ MESSAGES: dict[str, Any] = {
         navigation_pb2.NavState,
         navigation_pb2.SolutionBatch,
         navigation_pb2.AidingReport,
+        adaptation_pb2.AdaptationTrace,
         health_pb2.Health,
         run_pb2.Config,
         run_pb2.Versions,

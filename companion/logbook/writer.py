@@ -20,6 +20,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from companion.logbook import columns, messages, schemas
+from companion.logbook.adaptation import encode_trace
 from companion.logbook.columns import AnyColumns, Batch
 from companion.logbook.health import encode_health
 from companion.logbook.mcap_file import McapFile
@@ -29,6 +30,7 @@ from companion.selection import Chosen
 from companion.types import (
     I64,
     NS,
+    AdaptationTrace,
     AidingReports,
     AnySamples,
     BaroSamples,
@@ -101,6 +103,7 @@ class LogWriter:
         self._now_ns = 0
         self._parts: dict[tuple[str, str, str, str], list[AnyColumns]] = {}
         self._reports: dict[str, list[AidingReports]] = {}
+        self._traces: dict[str, list[AdaptationTrace]] = {}
         self._published: dict[str, list[Solution]] = {}
         self._smoothed: dict[str, list[Smoothed]] = {}
         self._raw: dict[tuple[str, str], list[tuple[int, int, bytes]]] = {}
@@ -200,6 +203,8 @@ class LogWriter:
             self._now_ns = max(self._now_ns, int(out.published.t_ns[-1]))
         if len(out.reports):
             self._reports.setdefault(vehicle, []).append(out.reports)
+        if len(out.adaptation):
+            self._traces.setdefault(vehicle, []).append(out.adaptation)
         if self._settled and len(out.settled):
             key = (vehicle, "nav/settled", "solution", "forward")
             self._parts.setdefault(key, []).append(out.settled)
@@ -272,6 +277,7 @@ class LogWriter:
         published, self._published = self._published, {}
         reports, self._reports = self._reports, {}
         smoothed, self._smoothed = self._smoothed, {}
+        traces, self._traces = self._traces, {}
         raw, self._raw = self._raw, {}
         self._rows, self._window_ns = 0, None
         for (vehicle, link), frames in raw.items():
@@ -293,6 +299,11 @@ class LogWriter:
             data = messages.encode_reports(joined)
             channel = self._channel(vehicle, "nav/aiding", "companion.AidingReport", joined.t_ns)
             self._file.rows(channel, joined.t_ns, data)
+        for vehicle, parts_of_trace in traces.items():
+            trace = AdaptationTrace.concatenate(parts_of_trace)
+            message = "companion.AdaptationTrace"
+            channel = self._channel(vehicle, "nav/adaptation", message, trace.t_ns)
+            self._file.rows(channel, trace.t_ns, encode_trace(trace))
 
     def _write_columns(
         self, vehicle: str, name: str, batch: Batch, source: str, blocks: Sequence[AnyColumns]

@@ -16,6 +16,7 @@ FIX = "nav/fix"
 ODOMETRY = "nav/odometry"
 SMOOTHED = "nav/smoothed"
 AIDING = "nav/aiding"
+ADAPTATION = "nav/adaptation"
 EVENTS = "events"
 HEALTH = "health"
 CONFIG = "config"
@@ -27,6 +28,7 @@ SCHEMAS = {
     ODOMETRY: "foxglove.Odometry",
     SMOOTHED: "companion.NavState",
     AIDING: "companion.AidingReport",
+    ADAPTATION: "companion.AdaptationTrace",
     EVENTS: "foxglove.Log",
     HEALTH: "companion.Health",
     CONFIG: "companion.Config",

@@ -1,18 +1,19 @@
 """Publication over zenoh: the keys, encodings and manners that subscribers rely on.
 
-========================  =======================  ==========================================
-``companion/<vehicle>/``   message                  how
-========================  =======================  ==========================================
-``nav/state``             companion.NavState       ``zenoh.state_rate_hz`` at most; queryable
-``nav/fix``               foxglove.LocationFix     10 Hz at most
-``nav/odometry``          foxglove.Odometry        10 Hz at most, east-north-up of the first fix
-``nav/smoothed``           companion.NavState       with its lag; where ``[smoothing]`` is on
-``nav/aiding``            companion.AidingReport   one a measurement
-``events``                foxglove.Log             cached: who comes late gets the last 64
-``health``                companion.Health         cached: who comes late gets the last one
-``config``                companion.Config         queryable only
-``@alive``                –                        liveliness token
-========================  =======================  ==========================================
+========================  =========================  ========================================
+``companion/<vehicle>/``  message                    how
+========================  =========================  ========================================
+``nav/state``             companion.NavState         ``zenoh.state_rate_hz`` at most; queryable
+``nav/fix``               foxglove.LocationFix       10 Hz at most
+``nav/odometry``          foxglove.Odometry          10 Hz at most, east-north-up of the first fix
+``nav/smoothed``          companion.NavState         with its lag; where ``[smoothing]`` is on
+``nav/aiding``            companion.AidingReport     one a measurement
+``nav/adaptation``        companion.AdaptationTrace  one an adapted measurement
+``events``                foxglove.Log               cached: who comes late gets the last 64
+``health``                companion.Health           cached: who comes late gets the last one
+``config``                companion.Config           queryable only
+``@alive``                –                          liveliness token
+========================  =========================  ========================================
 
 A congested link drops; nothing waits. Events and health carry numbers and a heartbeat, so that an
 advanced subscriber asks for what it missed, from the cache.
@@ -28,6 +29,7 @@ import zenoh
 
 from companion.config import Zenoh
 from companion.logbook import messages
+from companion.logbook.adaptation import encode_trace
 from companion.logbook.health import encode_health
 from companion.logbook.schemas import topic
 from companion.outputs import payloads
@@ -82,6 +84,9 @@ class ZenohPublisher:
         if len(outputs.smoothed):
             for row in messages.encode_smoothed(outputs.smoothed):
                 self._put(payloads.SMOOTHED, row.tobytes())
+        if len(outputs.adaptation):
+            for row in encode_trace(outputs.adaptation):
+                self._put(payloads.ADAPTATION, row.tobytes())
         for event in outputs.events:
             self.event(event)
 
@@ -167,6 +172,7 @@ class ZenohPublisher:
                 (payloads.ODOMETRY, False),
                 (payloads.SMOOTHED, False),
                 (payloads.AIDING, False),
+                (payloads.ADAPTATION, False),
             )
         }
         for name, kept in ((payloads.EVENTS, EVENTS_CACHED), (payloads.HEALTH, 1)):
