@@ -87,6 +87,7 @@ def show_run(console: Console, run: Mapping[str, Any]) -> None:
     _show_start(console, run["start"])
     _show_gates(console, run["gates"])
     _show_events(console, run["events"])
+    _show_adaptation(console, run["adaptation"])
     if run["accuracy"] is not None:
         show_accuracy(console, run["accuracy"])
     else:
@@ -190,6 +191,28 @@ def _show_events(console: Console, events: Sequence[Mapping[str, Any]], most: in
         )
     if len(events) > most:
         console.print(f"           and {len(events) - most} more events; the log has them all")
+
+
+def _show_adaptation(
+    console: Console, episodes: Sequence[Mapping[str, Any]], most: int = 12
+) -> None:
+    if not episodes:
+        return
+    console.print("[bold]Adapted[/bold]")
+    for e in episodes[:most]:
+        what = e["channel"].replace("_", " ")
+        if e["what"] == "R":
+            what += f" trusted {e['greatest'] ** 0.5:.1f} times less (R ×{e['greatest']:.3g})"
+        elif e["what"] == "Q":
+            what = f"inertial unit trusted less (Q ×{e['greatest']:.3g}), by {what}"
+        else:
+            what = f"past weighted less (α {e['greatest']:.3f}), by {what}"
+        because = f": {e['because']}" if e["because"] else ""
+        console.print(
+            f"{e['start_s']:8.1f} to {e['end_s']:.1f} s  {what}{because}", highlight=False
+        )
+    if len(episodes) > most:
+        console.print(f"           and {len(episodes) - most} more")
 
 
 def show_accuracy(console: Console, accuracy: Mapping[str, Any]) -> None:

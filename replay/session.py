@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from companion.logbook import LogWriter
 from companion.outputs.publisher import Publisher
 from companion.types import (
     NS,
+    AdaptationTrace,
     AidingReports,
     AnySamples,
     Event,
@@ -58,6 +59,7 @@ class SessionResult:
     cpu_s: float
     """CPU time of engine and log writing together [s]."""
     wall_s: float
+    adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
 
 
 class _Collector:
@@ -74,6 +76,7 @@ class _Collector:
     ) -> None:
         self.published: list[Solution] = []
         self.reports: list[AidingReports] = []
+        self.adaptation: list[AdaptationTrace] = []
         self.events: list[Event] = []
         self._latency = GnssLatencyEstimator(config)
         self._name = vehicle.name
@@ -95,6 +98,8 @@ class _Collector:
             self.published.append(outputs.published)
         if len(outputs.reports):
             self.reports.append(outputs.reports)
+        if len(outputs.adaptation):
+            self.adaptation.append(outputs.adaptation)
         self.events.extend(outputs.events)
         if self._writer is not None:
             self._writer.samples(samples, self._name)
@@ -156,6 +161,7 @@ def run_session(
         digest_smoothed=engine.digest_smoothed,
         cpu_s=time.process_time() - cpu,
         wall_s=time.monotonic() - wall,
+        adaptation=AdaptationTrace.concatenate(collector.adaptation),
     )
 
 

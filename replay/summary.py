@@ -11,6 +11,7 @@ import numpy as np
 
 from companion.types import (
     NS,
+    AdaptationTrace,
     AidingReports,
     Channel,
     Event,
@@ -19,6 +20,7 @@ from companion.types import (
     VehicleRecording,
     Verdict,
 )
+from replay.adaptation_story import Episode, episodes
 
 _MOVING_MPS = 0.3
 """Slower is taken for standing: the noise of a parked vehicle must not add up to kilometres."""
@@ -82,6 +84,8 @@ class Summary(msgspec.Struct, frozen=True):
     start: Start
     gates: dict[str, Gate]
     events: list[dict[str, Any]]
+    adaptation: list[Episode]
+    """What the adaptation scaled, when and why."""
 
 
 def summarise(
@@ -89,6 +93,7 @@ def summarise(
     solution: Solution,
     reports: AidingReports,
     events: Sequence[Event],
+    adaptation: AdaptationTrace | None = None,
 ) -> Summary:
     """Count and measure one vehicle's run; an empty solution gives zeros and None."""
     origin = int(solution.t_ns[0]) if len(solution) else 0
@@ -110,6 +115,7 @@ def summarise(
             }
             for e in events
         ],
+        adaptation=[] if adaptation is None else episodes(adaptation, origin),
     )
 
 

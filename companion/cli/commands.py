@@ -176,7 +176,9 @@ def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any
     from replay.evaluation import EvaluationError
     from replay.summary import summarise
 
-    summary = summarise(result.vehicle, result.solution, result.reports, result.events)
+    summary = summarise(
+        result.vehicle, result.solution, result.reports, result.events, result.adaptation
+    )
     accuracy, why_none = None, None
     try:
         accuracy = assess(

@@ -24,7 +24,7 @@ from companion.estimation.parameters import (
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
 )
-from companion.estimation.process_noise import attitude_noise, velocity_noise
+from companion.estimation.process_noise import attitude_noise, bias_noise, velocity_noise
 from companion.navigation.error_model import core_blocks, scale_blocks
 from companion.navigation.layout import (
     ACCEL_BIAS,
@@ -42,7 +42,6 @@ from companion.navigation.layout import (
     LAST_GYRO,
     MAX_STATES,
     POS,
-    Q_SCALE,
     SUM_T,
     SUM_XA,
     VEL,
@@ -165,9 +164,10 @@ def _decay_and_noise(s: F64, P: F64, lay: I64, par: F64, q: F64) -> None:
         accel = _decay(s, P, ACCEL_BIAS, ACCEL_BIAS_B, par[ACCEL_BIAS_TAU])
     if par[GYRO_BIAS_TAU] > 0.0:
         gyro = _decay(s, P, GYRO_BIAS, GYRO_BIAS_B, par[GYRO_BIAS_TAU])
+    factor = bias_noise(s)
     for i in range(3):
-        P[ACCEL_BIAS + i, ACCEL_BIAS + i] += par[ACCEL_BIAS_PSD] * s[Q_SCALE] * accel
-        P[GYRO_BIAS + i, GYRO_BIAS + i] += par[GYRO_BIAS_PSD] * s[Q_SCALE] * gyro
+        P[ACCEL_BIAS + i, ACCEL_BIAS + i] += par[ACCEL_BIAS_PSD] * factor * accel
+        P[GYRO_BIAS + i, GYRO_BIAS + i] += par[GYRO_BIAS_PSD] * factor * gyro
     if lay[L_GNSS] >= 0:
         at = lay[L_GNSS]
         span = _decay(s, P, at, GNSS_BIAS, par[GNSS_TAU])

@@ -61,3 +61,13 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
             x *= par[GYRO_VIBRATION_GAIN] * s[Q_SCALE] / T
             q[at] = np.float32(x + (even if i == j else 0.0))
             at += 1
+
+
+@njit("f8(f8[::1])", cache=True)
+def bias_noise(s: F64) -> float:
+    """Factor on what drives the biases: the square of that on noise.
+
+    A unit that goes wrong does so by a step more often than by noise; what drives a bias is so
+    small that only its square lets a filter that has settled learn the bias anew.
+    """
+    return float(np.float32(s[Q_SCALE] * s[Q_SCALE]))

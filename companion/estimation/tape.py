@@ -34,14 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion._jit import njit
-from companion.estimation.process_noise import attitude_noise, velocity_noise
+from companion.estimation.process_noise import attitude_noise, bias_noise, velocity_noise
 from companion.navigation.layout import (
     ATT,
     HEIGHT,
     L_ACCEL_SCALE,
     L_N,
     LAT,
-    Q_SCALE,
     SUM_T,
     VEL_N,
 )
@@ -100,7 +99,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     attitude_noise(s, par, q)
     for i in range(6):
         c[C_NOISE_A + i] = q[i]
-    c[C_NOISE_B] = s[Q_SCALE]
+    c[C_NOISE_B] = bias_noise(s)
     size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     for i in range(size):
         fine[at[FINE] + i] = s[SUM_T + i]

@@ -13,6 +13,7 @@ import numpy as np
 
 from companion._jit import njit
 from companion.estimation.adaptation.adapt import after_fix
+from companion.estimation.adaptation.evidence import reception
 from companion.estimation.covariance import STRIDE, propagate
 from companion.estimation.parameters import (
     BANK,
@@ -99,7 +100,8 @@ LOST_SPEED = 1.0
 KIND_GNSS, KIND_BARO, KIND_MAG = 0, 1, 2
 A_VALUE, A_VELOCITY, A_VAR, A_VAR_VELOCITY = 0, 3, 6, 9
 A_AZIMUTH = 3
-AID_SIZE = 12
+A_SATELLITES = 12  # NaN: unknown
+AID_SIZE = 13
 
 # --- columns of an output row
 O_LAT, O_VEL, O_Q, O_ACCEL_BIAS, O_GYRO_BIAS, O_COV, O_MODE, O_RESETS = 0, 3, 6, 10, 13, 16, 46, 47
@@ -144,6 +146,7 @@ def fuse_gnss(
     R = np.empty(3)
     n = lay[L_N]
     taken = False
+    reception(s, z[A_SATELLITES], z[A_VAR])
     if z[A_VELOCITY] == z[A_VELOCITY] and z[A_VELOCITY + 1] == z[A_VELOCITY + 1]:
         down = z[A_VELOCITY + 2] if z[A_VELOCITY + 2] == z[A_VELOCITY + 2] else 0.0
         s[GNSS_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2 + down * down)

@@ -162,6 +162,7 @@ class AidIntake:
         else:
             sd = np.fmax(sd, self._gnss_sd)  # where a report is missing, the configured one
         rows[:, 6:12] = sd * sd
+        rows[:, w.A_SATELLITES] = np.where(g.num_sats > 0, g.num_sats, np.nan)
         no_fix = (g.fix_type < cfg.min_fix_type) | (g.sd_pos[:, 0] > cfg.max_sd_position_m)
         no_fix |= g.sd_pos[:, 1] > cfg.max_sd_position_m
         # Written so that NaN counts as broken.

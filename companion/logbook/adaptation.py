@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -43,6 +44,7 @@ def decode_trace(payloads: Sequence[bytes]) -> AdaptationTrace:
         firing = np.array([list(m.firing) for m in parsed], np.float64).reshape(len(parsed), 9)
     except (DecodeError, ValueError):
         raise LogFormatError("not a companion.AdaptationTrace message") from None
-    integers = {n: np.array([getattr(m, n) for m in parsed], np.int64) for n in _INTEGERS}
-    floats = {n: np.array([getattr(m, n) for m in parsed], np.float64) for n in _FLOATS}
-    return AdaptationTrace(**integers, **floats, firing=firing)
+    columns: dict[str, Any] = {"firing": firing}
+    for names, kind in ((_INTEGERS, np.int64), (_FLOATS, np.float64)):
+        columns |= {n: np.array([getattr(m, n) for m in parsed], kind) for n in names}
+    return AdaptationTrace(**columns)

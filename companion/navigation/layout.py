@@ -70,7 +70,8 @@ R_SCALE = SOURCE + 2 * SOURCE_SIZE  # factor on R, one a channel
 CHANNELS = 10
 Q_SCALE = R_SCALE + CHANNELS  # factor on the noise of the inertial unit
 ALPHA = Q_SCALE + 1  # exponential weight of the running epoch of aiding
-WINDOWS = ALPHA + 1  # per adapted channel: innovations in a window, and what methods keep
+RECEPTION = ALPHA + 1  # share of it lost, usual number of satellites, usual variance
+WINDOWS = RECEPTION + 3  # per adapted channel: innovations in a window, and what methods keep
 ADAPTED = 6  # channels whose sensors are judged: the first ones; constraints are not sensors
 WINDOW_SIZE = 8 + 3 * 32
 # --- covariance, last because its size varies

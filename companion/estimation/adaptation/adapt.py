@@ -33,6 +33,9 @@ from companion.navigation.layout import ADAPTED, ALPHA, L_N, Q_SCALE, R_SCALE
 from companion.navigation.layout import P as P_OFFSET
 from companion.types import F64, I64
 
+ABSURD = 1e24
+"""NIS of a million million deviations: its square roots are no numbers to average."""
+
 
 @njit("b1(i8[::1], i8)", cache=True)
 def adapts(ipar: I64, channel: int) -> bool:
@@ -71,7 +74,9 @@ def adapt(
     for i in range(TO_MODEL, FIRING + 9):
         trace[i] = 0.0
     scale = 1.0
-    if method == FUZZY:
+    if not nis < ABSURD:
+        scale = s[R_SCALE + channel]  # the gate refuses it, and nothing can be learned of it
+    elif method == FUZZY:
         said, seen = 0.0, 0.0
         for i in range(m):
             said += R[i] / m

@@ -87,7 +87,7 @@ def variational_scale(s: F64, a: F64, channel: int, m: int, y: F64, foreseen: F6
 def huber_scale(a: F64, m: int, nis: float) -> float:
     """Huber's weight of this innovation: 1 up to k, then k/d; d² = NIS per component."""
     d = math.sqrt(nis / m)
-    return d / a[HUBER_K] if d > a[HUBER_K] else 1.0
+    return min(d / a[HUBER_K], LARGEST) if d > a[HUBER_K] else 1.0
 
 
 @njit("f8(f8[::1], i8, f8)", cache=True)

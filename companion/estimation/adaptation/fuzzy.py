@@ -1,7 +1,7 @@
 """Fuzzy covariance scaling: rules over spread and mean, each channel's R and the unit's Q.
 
     weight of a rule = membership of spread × membership of mean        (nine, they sum to 1)
-    scale = Σ weight · action                                           (Takagi and Sugeno 1985)
+    ln scale = Σ weight · ln action                                     (Takagi and Sugeno 1985)
 
 Memberships are ramps between quantiles of the inputs' own distributions, so a healthy sensor fires
 the usual rules whatever its unit, rate or noise. A mean is attributed before anything is scaled:
@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from companion._jit import njit
+from companion.estimation.adaptation.evidence import strain
 from companion.estimation.adaptation.layout import (
     DRIFT,
     FIRING,
@@ -29,7 +30,6 @@ from companion.estimation.adaptation.layout import (
     TO_MODEL,
     TO_SOURCE,
 )
-from companion.estimation.adaptation.motion import strain
 from companion.estimation.adaptation.parameters import (
     FALL,
     LENGTH,
@@ -44,11 +44,13 @@ from companion.estimation.adaptation.parameters import (
     USUAL,
 )
 from companion.estimation.adaptation.window import push, statistics
-from companion.navigation.layout import ADAPTED, Q_SCALE, R_SCALE, WINDOW_SIZE, WINDOWS
+from companion.navigation.layout import ADAPTED, Q_SCALE, R_SCALE, RECEPTION, WINDOW_SIZE, WINDOWS
 from companion.types import F64
 
 # channels, as types.Channel
 _VEL_H, _VEL_V = 2, 3
+SMALLEST = 1e-9
+"""Ratio of variances that is as good as none."""
 
 
 @njit("f8(f8, f8, f8)", cache=True)
@@ -77,7 +79,7 @@ def fire(a: F64, mean: float, spread: float, weights: F64) -> None:
 def conclude(
     a: F64, table: int, weights: F64, shares: F64, now: float, match: float, rest: float
 ) -> float:
-    """Weighted mean of the actions of a table.
+    """Weighted mean of the actions of a table, as factors: of their logarithms.
 
     ``shares`` (3,) by mean: how much of a rule's weight counts here; ``rest`` is the action of what
     does not.
@@ -87,8 +89,8 @@ def conclude(
         action = a[table + i]
         value = now if action == HOLD else (match if action == MATCH else 1.0)
         share = shares[i % 3]
-        total += weights[i] * (share * value + (1.0 - share) * rest)
-    return total
+        total += weights[i] * (share * math.log(value) + (1.0 - share) * math.log(rest))
+    return math.exp(total)
 
 
 @njit("f8(f8, f8, f8[::1], f8, f8)", cache=True)
@@ -127,7 +129,7 @@ def fuzzy_scale(
     shrink = math.sqrt(limit / nis) if nis > limit else 1.0
     push(w, length, u[0] * shrink, u[1] * shrink, u[2] * shrink)
     w[MOTION] = max(strain(s, par), w[MOTION] * (1.0 - 2.0 / length))
-    found = np.empty(6)
+    found = np.empty(5)
     weights = trace[FIRING : FIRING + 9]
     if not statistics(w, length, m, found):
         return now
@@ -141,16 +143,23 @@ def fuzzy_scale(
     if channel != _VEL_H and channel != _VEL_V:
         witness = WINDOWS + (_VEL_H if channel == 0 else _VEL_V) * WINDOW_SIZE
         model = max(w[MOTION], s[witness + DRIFT])
+    if channel <= _VEL_V:
+        # Fewer satellites or less accuracy than usual: the receiver says itself where it comes from.
+        model *= 1.0 - s[RECEPTION]
+        correlated *= 1.0 - s[RECEPTION]
     source = (1.0 - model) * correlated
     shares = np.array([1.0, 1.0 - model - source, 1.0 - model - source])
     match_r = 1.0 + (found[3] - 1.0) * (1.0 + r)
-    target = conclude(a, R_TABLE, weights, shares, now, max(match_r, a[R_MIN]), now)
+    target = conclude(a, R_TABLE, weights, shares, now, min(max(match_r, a[R_MIN]), a[R_MAX]), now)
     now = slew(now, target, a, a[R_MIN], a[R_MAX])
     s[R_SCALE + channel] = now
     shares[0], shares[1], shares[2] = model, model, model
-    match_q = 1.0 + max(found[4] - 1.0, 0.0) * (1.0 + 1.0 / max(r, 1e-9))
+    # What of the mean R does not explain, P has to: H P Hᵀ so many times larger. Of a state that
+    # noise drives and aids hold, P goes with the root of Q.
+    unexplained = max(found[4] - (r + now) / ((r + 1.0) * length), 0.0)
+    match_p = min(1.0 + unexplained * (1.0 + 1.0 / max(r, SMALLEST)), a[Q_MAX])
     wish = 1.0 + w[Q_WISH]
-    target = conclude(a, Q_TABLE, weights, shares, wish, min(match_q * match_q, a[Q_MAX]), 1.0)
+    target = conclude(a, Q_TABLE, weights, shares, wish, min(match_p * match_p, a[Q_MAX]), 1.0)
     w[Q_WISH] = slew(wish, target, a, 1.0, a[Q_MAX]) - 1.0
     trace[IN_MEAN], trace[IN_SPREAD], trace[IN_CORRELATION] = mean, spread, correlation
     trace[TO_MODEL], trace[TO_SOURCE] = model, source

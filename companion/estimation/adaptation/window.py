@@ -4,12 +4,12 @@ For a healthy sensor, whitened innovations u = L⁻¹ y, L Lᵀ = S, are indepen
 Of a window of n with m components each,
 
     spread       ν v = Σ |u − ū|²              is χ² with ν = (n − 1) m degrees of freedom
-    mean         F = n |ū|² / (m v)            is F with m and ν, whatever the noise's size
+    mean         F = n |ū|² / (m v)            is F with m and ν, whatever the size of noise
     correlation  ρ = Σ uₖ·uₖ₋₁ / Σ |uₖ|²       is about normal with variance 1 / (n m)
 
 The first two are turned into standard normal deviates by Wilson and Hilferty's cube root (1931) and
-Paulson's (1942). The largest term of the spread counts as the second largest does: no single
-innovation, however wrong, decides.
+Paulson's (1942). The largest term of the spread counts as the second largest does, but where a mean
+is held against it: no single innovation, however wrong, decides.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from companion.types import F64
 
 FEWEST = 8
 """Innovations before anything is said of them."""
-EARLIEST = 1e-6
-"""Smallest spread that a mean is held against."""
+SMALLEST = 1e-9
+"""Sum of squares that something is divided by at least."""
 
 
 @njit("void(f8[::1], i8, f8, f8, f8)", cache=True)
@@ -54,7 +54,7 @@ def deviate_of_f(x: float, dof: float, dof_below: float) -> float:
 
 @njit("b1(f8[::1], i8, i8, f8[::1])", cache=True)
 def statistics(w: F64, length: int, m: int, out: F64) -> bool:
-    """Fill ``out`` (6,): deviates of mean, spread and correlation, v, Σ|u|²/(n m), n |ū|²/m.
+    """Fill ``out`` (5,): deviates of mean, spread and correlation, v, and |ū|²/m.
 
     False with fewer than :data:`FEWEST` innovations; ``out`` is not touched then.
     """
@@ -90,10 +90,9 @@ def statistics(w: F64, length: int, m: int, out: F64) -> bool:
             second = e
     dof = float((n - 1) * m)
     v = (about - largest + second) / dof
-    out[0] = deviate_of_f(n * square / (m * max(v, EARLIEST)), float(m), dof)
+    out[0] = deviate_of_f(n * square * dof / (m * max(about, SMALLEST)), float(m), dof)
     out[1] = deviate_of_chi2(v, dof)
-    out[2] = product / max(total, EARLIEST) * math.sqrt(float(n * m))
+    out[2] = product / max(total, SMALLEST) * math.sqrt(float(n * m))
     out[3] = v
-    out[4] = (total - largest + second) / (n * m)
-    out[5] = n * square / m
+    out[4] = square / m
     return True

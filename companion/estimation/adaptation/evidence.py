@@ -1,8 +1,9 @@
-"""How far the inertial unit is strained: what speaks for the model, not for a sensor.
+"""What speaks for the model and what for a sensor, beside the innovations themselves.
 
 A manoeuvre or vibration adds velocity and attitude error in proportion to itself (scale factor,
 misalignment, timing; rectification and aliasing). The share that it may have in the whole noise,
-r / (1 + r) with r the ratio of the two variances, is a number without a unit or a threshold.
+r / (1 + r) with r the ratio of the two variances, is a number without a unit or a threshold. So is
+the share of satellites, or of stated accuracy, that a receiver has lost against its usual.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 
 from companion._jit import njit
 from companion.estimation.parameters import ACCEL_PSD, GYRO_PSD
-from companion.navigation.layout import STILL_RING, STILL_SUB, VIBRATION
+from companion.navigation.layout import RECEPTION, STILL_RING, STILL_SUB, VIBRATION
 from companion.types import F64
 
 SCALE_VAR = 0.005**2
@@ -34,3 +35,29 @@ def strain(s: F64, par: F64) -> float:
     r = SCALE_VAR * (spread[0] / par[GYRO_PSD] + spread[1] / par[ACCEL_PSD])
     r += VIBRATION_VAR * s[VIBRATION] / par[ACCEL_PSD]
     return float(r / (1.0 + r))
+
+
+USUAL_FIXES = 300.0
+"""Fixes over which it is learned what a receiver usually has."""
+
+
+@njit("void(f8[::1], f8, f8)", cache=True)
+def reception(s: F64, satellites: float, variance: float) -> None:
+    """Note how much worse a fix was received than usual: 0 as usual, towards 1 much worse.
+
+    ``satellites`` may be NaN; ``variance`` is that of horizontal position as it is taken [m²].
+    """
+    lost = 0.0
+    if satellites == satellites:
+        usual = s[RECEPTION + 1]
+        if usual == 0.0:
+            usual = satellites
+        lost = max(0.0, 1.0 - satellites / max(usual, 1.0))
+        s[RECEPTION + 1] = usual + (satellites - usual) / USUAL_FIXES
+    if variance == variance:
+        usual = s[RECEPTION + 2]
+        if usual == 0.0:
+            usual = variance
+        lost = max(lost, 1.0 - usual / max(variance, 1e-9))
+        s[RECEPTION + 2] = usual + (variance - usual) / USUAL_FIXES
+    s[RECEPTION] = lost
