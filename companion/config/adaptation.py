@@ -55,8 +55,8 @@ class FlacRule(Section):
 def _rules() -> tuple[Rule, ...]:
     table: dict[Spread, tuple[tuple[Action, Action], ...]] = {
         # mean          zero                   small                  large
-        "low": (("nominal", "nominal"), ("nominal", "nominal"), ("hold", "match")),
-        "usual": (("nominal", "nominal"), ("nominal", "nominal"), ("hold", "match")),
+        "low": (("nominal", "nominal"), ("nominal", "nominal"), ("match", "match")),
+        "usual": (("nominal", "nominal"), ("nominal", "nominal"), ("match", "match")),
         "high": (("match", "nominal"), ("match", "match"), ("match", "match")),
     }
     return tuple(

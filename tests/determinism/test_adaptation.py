@@ -14,7 +14,7 @@ from replay.simulator import load_scenario, matching_config, simulate
 from replay.simulator.aids import GnssSpec
 from replay.simulator.disturbances import NoiseChange
 
-from .test_bits import _with_arrivals
+from .test_bits import with_arrivals
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +46,10 @@ def test_late_aiding_and_cut_blocks_settle_to_the_same_bits(
     flight: tuple[VehicleRecording, Config], method: str
 ) -> None:
     vehicle, config = flight[0], _by(flight[1], method)
-    prompt = play(_with_arrivals(vehicle, lambda t: t), config)
+    prompt = play(with_arrivals(vehicle, lambda t: t), config)
     assert prompt.digest != play(vehicle, flight[1]).digest  # the method does something here
     rng = np.random.default_rng(1)
-    late = _with_arrivals(vehicle, lambda t: t + rng.integers(0, 400_000_000, len(t)))
+    late = with_arrivals(vehicle, lambda t: t + rng.integers(0, 400_000_000, len(t)))
     engine = Engine(config)
     for block in arrivals(late, config):
         if isinstance(block, ImuSamples):

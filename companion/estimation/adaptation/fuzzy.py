@@ -100,6 +100,23 @@ def slew(now: float, target: float, a: F64, low: float, high: float) -> float:
     return min(max(x, low), high) if x == x else now
 
 
+@njit("UniTuple(f8, 2)(f8[::1], f8[::1], i8, f8)", cache=True)
+def attribute(s: F64, w: F64, channel: int, correlated: float) -> tuple[float, float]:
+    """Shares of a mean that are the inertial unit's and the source's; the rest is noise.
+
+    A Doppler velocity has hardly an error that lasts: a mean there is the inertial unit's, and what
+    it did to velocity it did to position. Fewer satellites or less accuracy than usual: the
+    receiver says itself where the mean comes from.
+    """
+    model = 1.0
+    if channel != _VEL_H and channel != _VEL_V:
+        witness = WINDOWS + (_VEL_H if channel == 0 else _VEL_V) * WINDOW_SIZE
+        model = max(w[MOTION], s[witness + DRIFT])
+    received = 1.0 - s[RECEPTION] if channel <= _VEL_V else 1.0
+    model *= received
+    return model, (received - model) * correlated
+
+
 @njit("f8(f8[::1], f8[::1], f8[::1], i8, i8, f8[::1], f8, f8, f8, f8, f8[::1])", cache=True)
 def fuzzy_scale(
     s: F64,
@@ -137,19 +154,11 @@ def fuzzy_scale(
     fire(a, mean, spread, weights)
     correlated = ramp(correlation, a[USUAL], a[UNUSUAL])
     w[DRIFT] = correlated * ramp(mean, a[USUAL], a[UNUSUAL])
-    # A Doppler velocity has hardly an error that lasts: a mean there is the inertial unit's, and
-    # what it did to velocity it did to position.
-    model = 1.0
-    if channel != _VEL_H and channel != _VEL_V:
-        witness = WINDOWS + (_VEL_H if channel == 0 else _VEL_V) * WINDOW_SIZE
-        model = max(w[MOTION], s[witness + DRIFT])
-    if channel <= _VEL_V:
-        # Fewer satellites or less accuracy than usual: the receiver says itself where it comes from.
-        model *= 1.0 - s[RECEPTION]
-        correlated *= 1.0 - s[RECEPTION]
-    source = (1.0 - model) * correlated
+    model, source = attribute(s, w, channel, correlated)
     shares = np.array([1.0, 1.0 - model - source, 1.0 - model - source])
-    match_r = 1.0 + (found[3] - 1.0) * (1.0 + r)
+    # A mean is noise only as far as the receiver itself says that it receives badly.
+    lost = s[RECEPTION] if channel <= _VEL_V else 0.0
+    match_r = 1.0 + (found[3] + lost * max(found[4] - found[3] / length, 0.0) - 1.0) * (1.0 + r)
     target = conclude(a, R_TABLE, weights, shares, now, min(max(match_r, a[R_MIN]), a[R_MAX]), now)
     now = slew(now, target, a, a[R_MIN], a[R_MAX])
     s[R_SCALE + channel] = now
