@@ -23,6 +23,7 @@ COMMANDS = (
     "simulate",
     "smooth",
     "reproduce",
+    "compare",
     "bench",
     "check",
     "demo",

@@ -233,6 +233,43 @@ def evaluate(
 
 
 @app.command(no_args_is_help=True)
+def compare(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG…", help="What replay reads; read once.")
+    ],
+    estimators: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B,…",
+            help="Settings, by commas: adaptation methods (none, fuzzy, flac, innovation, "
+            "variational, huber, igg3), estimators (error-state), no-source-faults, "
+            "as-configured; several joined by +; or NAME=FILE.toml, a file with keys to change. "
+            "Without it every adaptation.",
+        ),
+    ] = "",
+    outage: Annotated[
+        list[str] | None,
+        typer.Option(metavar="START+SECONDS", help="Withhold GNSS, as in replay."),
+    ] = None,
+    config: ConfigPath = None,
+    vehicle: VehicleName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Run several estimators or settings on one log, side by side.
+
+    Errors against truth, or the autopilot's estimate where there is none: metres, m/s, degrees.
+
+    Example: companion compare flight.tlog --estimators none,fuzzy,none+no-source-faults
+    """
+    console = _console(as_json)
+    windows = _windows(outage or [], "--outage")
+    names = [name.strip() for name in estimators.split(",") if name.strip()]
+    from companion.cli.compare import compare_settings
+
+    _emit_if(as_json, compare_settings(console, logs, names, config, windows, vehicle))
+
+
+@app.command(no_args_is_help=True)
 def smooth(
     run: Annotated[
         Path, typer.Argument(metavar="RUN", help="A run log, or any log that replay reads.")

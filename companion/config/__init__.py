@@ -72,6 +72,7 @@ __all__ = [
     "ToAutopilot",
     "Vehicle",
     "Zenoh",
+    "from_table",
     "load",
     "parse",
     "to_toml",
@@ -230,10 +231,17 @@ def parse(text: str, origin: str = "configuration") -> Config:
     Raises :class:`ConfigError` with ``origin`` and the offending key.
     """
     try:
-        config = msgspec.convert(tomllib.loads(text), Config)
-        _check(config)
+        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{origin}: not valid TOML: {error}") from None
+    return from_table(table, origin)
+
+
+def from_table(table: dict[str, Any], origin: str = "configuration") -> Config:
+    """Typed configuration from what TOML text says, as :func:`parse`."""
+    try:
+        config = msgspec.convert(table, Config)
+        _check(config)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{origin}: {_explain(error)}") from None
     except ConfigError as error:
