@@ -22,7 +22,7 @@ from typing import Any, get_args, get_type_hints
 
 import msgspec
 
-from companion.config import Config, EngineConfig, parse, to_toml
+from companion.config import Config, EngineConfig, from_table, to_toml
 from companion.config.adaptation import METHODS
 from companion.types import ConfigError, VehicleRecording, Verdict
 from replay.assessment import assess
@@ -103,7 +103,7 @@ def _from_file(config: Config, path: Path) -> Config:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
     merged = _laid_over(tomllib.loads(to_toml(config)), changes)
-    return parse(msgspec.toml.encode(merged).decode(), str(path))
+    return from_table(merged, str(path))
 
 
 def settings(chosen: ChosenConfig, names: Sequence[str]) -> list[Setting]:

@@ -177,6 +177,7 @@ _POSITIVE = (
     "engine.output_rate_hz",
     "engine.delay_ring_s",
     "engine.imu_gap_bridge_s",
+    "source_faults.patience_s",
     "smoothing.rate_hz",
     "smoothing.longest_interval_s",
 )

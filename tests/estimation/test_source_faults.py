@@ -145,7 +145,7 @@ def test_no_fault_is_declared_where_there_is_none(trial: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", ["nominal", "wandering"])
 def test_no_fault_in_an_hour_without_one(trial: str) -> None:
-    """20 flights of three minutes each; the wandering receiver errs 1.5 m for two minutes on end."""
+    """20 flights of three minutes; the wandering receiver errs 1.5 m for two minutes on end."""
     declared = sum(len(fly(SUITE[trial], seed).seconds("source-fault")) for seed in range(20))
     assert declared == 0
 

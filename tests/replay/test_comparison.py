@@ -36,7 +36,7 @@ def test_words_change_what_they_name() -> None:
     assert both.adaptation.method == "flac"
     assert not both.source_faults.detect
     assert same == Config()
-    assert [one.name for one in settings(chosen(), DEFAULT)][0] == "none"
+    assert settings(chosen(), DEFAULT)[0].name == "none"
 
 
 def test_a_file_is_laid_over_the_configuration(tmp_path: Path) -> None:
