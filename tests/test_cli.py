@@ -18,6 +18,7 @@ from companion.cli import main
 COMMANDS = (
     "replay",
     "report",
+    "tune",
     "evaluate",
     "export",
     "simulate",

@@ -397,6 +397,29 @@ def report(
 
 
 @app.command(no_args_is_help=True)
+def tune(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Any log that replay reads.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE.toml", help="Without it ./<log>.tuned.toml."),
+    ] = None,
+    config: ConfigPath = None,
+    vehicle: VehicleName = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Noise parameters from a log: Allan deviation at rest, innovations in flight; as TOML.
+
+    Densities deg/s/√Hz and m/s²/√Hz, walks per √s, standard deviations m and m/s.
+
+    Example: companion tune parked.tlog -o imu.toml
+    """
+    console = _console(as_json)
+    from companion.cli.tune import tune_log
+
+    _emit_if(as_json, tune_log(console, log, output, config, vehicle))
+
+
+@app.command(no_args_is_help=True)
 def simulate(
     scenario: Annotated[
         str,

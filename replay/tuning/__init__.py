@@ -1,0 +1,1 @@
+"""Noise parameters from data: Allan deviation at rest, innovations of a flight."""
