@@ -276,15 +276,30 @@ def smooth(
     ],
     method: Annotated[
         Literal[
-            "bryson-frazier", "rts", "two-filter", "two-filter-straight", "two-filter-weighted"
+            "bryson-frazier",
+            "rts",
+            "two-filter",
+            "two-filter-straight",
+            "two-filter-weighted",
+            "on-line",
         ],
         typer.Option(
             help="bryson-frazier: optimal, inverts nothing; rts: the reference beside it; "
             "two-filter: the log run backwards, too, and faded over inside each outage, position "
             "and velocity together; two-filter-straight: each by itself, as Kamil et al. 2014; "
-            "two-filter-weighted: the same two runs weighted by their covariances."
+            "two-filter-weighted: the same two runs weighted by their covariances; on-line: as "
+            "while flying, after every fix a few update intervals back."
         ),
     ] = "bryson-frazier",
+    window: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=100,
+            metavar="N",
+            help="on-line: update intervals, from fix to fix, to look back over.",
+        ),
+    ] = None,
     rate: Annotated[
         float, typer.Option(min=0.1, max=1000.0, metavar="HZ", help="Smoothed epochs per second.")
     ] = 10.0,
@@ -316,7 +331,11 @@ def smooth(
     windows = _windows(outage or [], "--outage")
     from companion.cli.smooth import smooth_run
 
-    made = smooth_run(console, run, method, rate, not states_only, out, windows, config, vehicle)
+    if window is not None and method != "on-line":
+        raise typer.BadParameter("goes with --method on-line", param_hint="'--window'")
+    made = smooth_run(
+        console, run, method, rate, not states_only, out, windows, config, vehicle, window
+    )
     _emit_if(as_json, made)
 
 

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Union
 
+import msgspec
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
 from companion import present
 from companion.cli.commands import LOADING, SolutionKind, out_path, plain, read
-from companion.config import Config
-from companion.types import AidingReports, Solution, VehicleRecording
+from companion.config import Config, to_toml
+from companion.types import NS, AidingReports, Smoothed, Solution, VehicleRecording
 from replay.window import Window, read_windows
 
 if TYPE_CHECKING:
-    from replay.smoothing import Method
+    from replay.smoothing import Method as OffLine
+
+Method = Union["OffLine", Literal["on-line"]]
 
 
 @dataclass(frozen=True, slots=True)
-class Smoothed:
+class Made:
     """A smoothed solution, and what it cost."""
 
     solution: Solution
@@ -31,17 +35,17 @@ class Smoothed:
     history_bytes: int
     stretches: int
     """Stretches between declared breaks, each smoothed by itself."""
-    digest: str
+    on_line: Smoothed | None = None
 
 
 def smooth_vehicle(
     console: Console,
     vehicle: VehicleRecording,
     config: Config,
-    method: Method,
+    method: OffLine,
     rate_hz: float | None,
     covariance: bool,
-) -> Smoothed:
+) -> Made:
     """Run forward with a tape, and smooth."""
     with present.notice_if_slow(console, LOADING):
         from replay.smoothing import record_for, smoothed
@@ -53,13 +57,28 @@ def smooth_vehicle(
     middle = time.process_time()
     with present.notice_if_slow(console, "Smoothing …"):
         solution = smoothed(run, method)
-    return Smoothed(
+    return Made(
         solution=solution,
         forward_cpu_s=middle - begin,
         smoothing_cpu_s=time.process_time() - middle,
         history_bytes=run.history_bytes,
         stretches=max(len(run.tapes), len(run.stretches)),
-        digest=run.digest,
+    )
+
+
+def smooth_as_live(
+    console: Console, vehicle: VehicleRecording, config: Config, rate_hz: float, window: int | None
+) -> Made:
+    """Smooth a fixed lag behind the filter, as a live run does."""
+    with present.notice_if_slow(console, LOADING):
+        from replay.on_line import on_line_config, smooth_on_line
+    config = on_line_config(config, window or config.smoothing.window, rate_hz)
+    with present.progress(console, f"Vehicle {vehicle.name}, on line") as update:
+        run = smooth_on_line(vehicle, config, progress=update)
+    solution = run.smoothed.solution
+    stretches = len(np.unique(solution.resets))
+    return Made(
+        solution, run.forward_cpu_s, run.smoothing_cpu_s, 0, stretches, on_line=run.smoothed
     )
 
 
@@ -67,17 +86,23 @@ def smooth_run(
     console: Console,
     run: Path,
     method: Method,
-    rate_hz: float | None,
+    rate_hz: float,
     covariance: bool,
     out: Path | None,
     outages: Sequence[Window],
     config_path: Path | None,
     vehicle_name: str | None,
+    window: int | None = None,
 ) -> dict[str, Any]:
     """Smooth every vehicle into a run log, the smoothed solution beside the forward one."""
     from replay.preparation import navigable, withhold_gnss
 
     recording, chosen = read(console, [run], config_path, vehicle_name)
+    # The forward run's part is the filter's; what is smoothed comes from below.
+    config = msgspec.structs.replace(
+        chosen.config, smoothing=msgspec.structs.replace(chosen.config.smoothing, enabled=False)
+    )
+    chosen = replace(chosen, config=config, toml=to_toml(config))
     # What the run itself was refused stays withheld, and is judged as an outage.
     outages = outages or read_windows(recording.metadata.get("outages", ""))
     fit, _ = navigable(recording, vehicle_name)
@@ -93,8 +118,11 @@ def smooth_run(
                     vehicle, chosen, writer=writer, outages=outages, progress=update
                 )
             flown = withhold_gnss(vehicle, outages)
-            made = smooth_vehicle(console, flown, chosen.config, method, rate_hz, covariance)
-            writer.smoothed(made.solution, vehicle.name)
+            if method == "on-line":
+                made = smooth_as_live(console, flown, config, rate_hz, window)
+            else:
+                made = smooth_vehicle(console, flown, config, method, rate_hz, covariance)
+            writer.smoothed(made.on_line or made.solution, vehicle.name)
             accuracy = {
                 "forward": _accuracy(flown, chosen.config, forward.solution, outages, "forward"),
                 "smoothed": _accuracy(flown, chosen.config, made.solution, outages, "smoothed"),
@@ -133,9 +161,17 @@ def _accuracy(
     return found.to_json()
 
 
-def _entry(name: str, method: str, made: Smoothed, accuracy: dict[str, Any]) -> dict[str, Any]:
+def _entry(name: str, method: str, made: Made, accuracy: dict[str, Any]) -> dict[str, Any]:
+    late = {}
+    if made.on_line is not None and len(made.on_line):
+        lag_s = made.on_line.lag_ns / NS
+        late = {
+            "lag_s": {"median": float(np.median(lag_s)), "max": float(lag_s.max())},
+            "as_filtered": int(np.count_nonzero(~made.on_line.smoothed)),
+        }
     return plain(
         {
+            **late,
             "vehicle": name,
             "method": method,
             "epochs": len(made.solution),
@@ -150,11 +186,18 @@ def _entry(name: str, method: str, made: Smoothed, accuracy: dict[str, Any]) -> 
 
 def _show(console: Console, entry: dict[str, Any]) -> None:
     """A few lines for people."""
+    history = f"; history {entry['history_mb']:.1f} MB" if entry["history_mb"] else ""
     console.print(
         f"Smoothed  {entry['epochs']} epochs by {entry['method']} in "
-        f"{entry['smoothing_cpu_s']:.2f} s of CPU, after {entry['forward_cpu_s']:.2f} s forward; "
-        f"history {entry['history_mb']:.1f} MB"
+        f"{entry['smoothing_cpu_s']:.2f} s of CPU, after {entry['forward_cpu_s']:.2f} s forward"
+        f"{history}"
     )
+    if "lag_s" in entry:
+        lag = entry["lag_s"]
+        console.print(
+            f"          {lag['median']:.1f} s behind the filter, {lag['max']:.1f} s at most; "
+            f"{entry['as_filtered']} epochs as the filter had them"
+        )
     if entry["stretches"] > 1:
         console.print(f"          {entry['stretches']} stretches, a declared reset between them")
     for kind in ("forward", "smoothed"):

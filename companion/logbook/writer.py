@@ -216,12 +216,16 @@ class LogWriter:
             self.event(event, vehicle)
         self._arrived(rows, self._now_ns)
 
-    def smoothed(self, solution: Solution, vehicle: str) -> None:
-        """Write a smoothed solution, whole, on its own channel."""
-        channel = self._channel(vehicle, "nav/smoothed", "companion.NavState", solution.t_ns)
-        for at in range(0, len(solution), BATCH_ROWS):
-            part = solution.take(slice(at, at + BATCH_ROWS))
-            self._file.rows(channel, part.t_ns, messages.encode_states(part))
+    def smoothed(self, epochs: Solution | Smoothed, vehicle: str) -> None:
+        """Write a smoothed solution, whole, on its own channel; with its lag if it has one."""
+        if isinstance(epochs, Smoothed):
+            t_ns, data = epochs.solution.t_ns, messages.encode_smoothed(epochs)
+        else:
+            t_ns, data = epochs.t_ns, messages.encode_states(epochs)
+        channel = self._channel(vehicle, "nav/smoothed", "companion.NavState", t_ns)
+        for at in range(0, len(t_ns), BATCH_ROWS):
+            part = slice(at, at + BATCH_ROWS)
+            self._file.rows(channel, t_ns[part], data[part])
 
     def event(self, event: Event, vehicle: str) -> None:
         """Write one event at once."""
@@ -288,12 +292,7 @@ class LogWriter:
         for vehicle, solutions in published.items():
             self._write_states(vehicle, Solution.concatenate(solutions))
         for vehicle, epochs in smoothed.items():
-            late = Smoothed.concatenate(epochs)
-            data = messages.encode_smoothed(late)
-            channel = self._channel(
-                vehicle, "nav/smoothed", "companion.NavState", late.solution.t_ns
-            )
-            self._file.rows(channel, late.solution.t_ns, data)
+            self.smoothed(Smoothed.concatenate(epochs), vehicle)
         for vehicle, rows in reports.items():
             joined = AidingReports.concatenate(rows)
             data = messages.encode_reports(joined)
