@@ -547,7 +547,10 @@ def watch(
 @app.command(no_args_is_help=True)
 def reproduce(
     paper: Annotated[
-        Literal["kamil"], typer.Argument(metavar="PAPER", help="kamil: two-filter smoothing.")
+        Literal["kamil", "duong"],
+        typer.Argument(
+            metavar="PAPER", help="kamil: two-filter smoothing; duong: smoothing on line."
+        ),
     ],
     output: Annotated[
         Path | None,
