@@ -169,7 +169,14 @@ class Flown:
         return [e.kind for e in self.events]
 
 
-def fly(arrivals: Iterable[Arrival], config: Config, path: Path, *, close: bool = True) -> Flown:
+def fly(
+    arrivals: Iterable[Arrival],
+    config: Config,
+    path: Path,
+    *,
+    close: bool = True,
+    stopwatch: Callable[[], int] = lambda: 0,
+) -> Flown:
     """Put arrivals, in order of their time, and ticks through a core with a log."""
     toml = to_toml(config)
     effective = parse(toml)
@@ -194,6 +201,7 @@ def fly(arrivals: Iterable[Arrival], config: Config, path: Path, *, close: bool 
         preferred=PREFERRED,
         publish=outputs.append,
         announce=events.append,
+        stopwatch=stopwatch,
     )
     for item in _with_ticks(ordered, start):
         _arrive(core, item)
