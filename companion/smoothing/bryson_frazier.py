@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion._jit import njit
+from companion.estimation.covariance import STRIDE
 from companion.estimation.tape import (
     C_STEP,
     F32,
@@ -40,15 +41,22 @@ from companion.estimation.tape import (
 from companion.navigation.error_model import transition_blocks
 from companion.navigation.layout import (
     ATT,
-    CORE_STATES,
     L_ACCEL_SCALE,
     L_GYRO_SCALE,
     L_N,
 )
+from companion.smoothing.composite import (
+    WIDTH,
+    begin,
+    flush,
+    smoothed_blocks,
+    step_back,
+    turn_back,
+    update_back,
+)
 from companion.smoothing.transition import (
     carry,
     carry_back,
-    carry_back_matrix,
     decay_factors,
     noise_diagonal,
     subtract_noise,
@@ -206,49 +214,6 @@ def forward(
             c += triangle
 
 
-@njit("void(f8[:, ::1], f8[::1], f8[::1], f8[::1], f8, i8)", cache=True)
-def _information_of_update(Lam: F64, w: F64, H: F64, gain: F64, r: float, n: int) -> None:
-    """``Lam`` ← Hᵀ r² H + (I − K H)ᵀ Lam (I − K H) with K = ``gain`` r; ``w`` (n,) is scratch."""
-    kwk = r * r
-    for i in range(n):
-        x = 0.0
-        for j in range(n):
-            x += Lam[i, j] * gain[j]
-        w[i] = x * r
-        kwk += w[i] * gain[i] * r
-    for i in range(n):
-        h = H[i]
-        if h != 0.0:
-            for j in range(n):
-                Lam[i, j] += h * (0.5 * kwk * H[j] - w[j])
-                Lam[j, i] += h * (0.5 * kwk * H[j] - w[j])
-
-
-@njit("void(f4[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8)", cache=True)
-def _smoothed_blocks(triangle: F32, Lam: F64, P: F64, M: F64, out: F64, n: int) -> None:
-    """``out`` (5, 6): the published blocks of P − P Λ P. ``P``, ``M`` (n, n) are scratch."""
-    c = 0
-    for i in range(n):
-        for j in range(i, n):
-            P[i, j] = P[j, i] = triangle[c]
-            c += 1
-    for i in range(n):
-        for j in range(CORE_STATES):
-            x = 0.0
-            for k in range(n):
-                x += Lam[i, k] * P[k, j]
-            M[i, j] = x
-    for block in range(5):
-        at = 0
-        for i in range(3 * block, 3 * block + 3):
-            for j in range(i, 3 * block + 3):
-                x = P[i, j]
-                for k in range(n):
-                    x -= P[i, k] * M[k, j]
-                out[block, at] = x
-                at += 1
-
-
 @njit(
     "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1])",
     cache=True,
@@ -270,11 +235,17 @@ def backward_covariance(
     as :attr:`companion.types.Solution.cov`. The tape must carry P with its rows.
     """
     n = lay[L_N]
-    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
+    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     B = np.empty((24, 3, 3))
-    d, w = np.empty(n), np.empty(n)
-    X, Y = np.empty((n, n)), np.empty((n, n))
+    d, w, D = np.empty(n), np.empty(n), np.ones(n)
+    X, Z = np.zeros(n * WIDTH), np.empty(9 * WIDTH)
+    L, U = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
+    V, P = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
+    for j in range(n):
+        for k in range(n):
+            L[j * STRIDE + k] = Lam[j, k]
+    begin(X, n)
+    pending = False
     c, f, row = coarse.shape[0], fine.shape[0], rows.shape[0]
     for i in range(kinds.shape[0] - 1, -1, -1):
         kind = kinds[i]
@@ -284,38 +255,34 @@ def backward_covariance(
             read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
             decay_factors(float(fine[f]), lay, par, d)
-            for j in range(n):
-                g = d[j]
-                for k in range(n):
-                    Lam[j, k] *= g * d[k]
-            carry_back_matrix(B, i_sa, i_sg, Lam, Y)
-            for j in range(n):
-                for k in range(n):
-                    X[j, k] = Y[k, j]
-            carry_back_matrix(B, i_sa, i_sg, X, Lam)
-            for j in range(n):
-                for k in range(j):
-                    Lam[j, k] = Lam[k, j]
-        elif kind >= UPDATE:
+            step_back(B, lay, d, X, D, Z)
+            pending = True
+            continue
+        if pending:
+            flush(X, D, L, n, U, V)
+            pending = False
+        if kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
             read_h(fine[f:], n, d)
-            _information_of_update(Lam, w, d, fine[f + F_GAIN : f + F_GAIN + n], fine[f + F_R], n)
+            update_back(L, d, fine[f + F_GAIN : f + F_GAIN + n], fine[f + F_R], n, w)
         elif kind == TURN:
             f -= F_TURN
-            turn_transposed(Lam, fine[f : f + F_TURN], ATT, n)
-            for j in range(n):
-                for k in range(n):
-                    X[j, k] = Lam[k, j]
-            turn_transposed(X, fine[f : f + F_TURN], ATT, n)
-            for j in range(n):
-                for k in range(n):
-                    Lam[j, k] = X[k, j]
+            turn_back(L, X, fine[f : f + F_TURN], n)
         elif kind == FADE:
             f -= F_FADE
-            for j in range(n):
-                for k in range(n):
-                    Lam[j, k] *= fine[f]
+            for j in range(n * STRIDE):
+                L[j] *= fine[f]
         else:
             row -= 1
             c -= triangle
-            _smoothed_blocks(coarse[c : c + triangle], Lam, X, Y, rows[row], n)
+            at = c
+            for j in range(n):
+                for k in range(j, n):
+                    P[j * STRIDE + k] = P[k * STRIDE + j] = coarse[at]
+                    at += 1
+            smoothed_blocks(P, L, n, V, rows[row].reshape(30))
+    if pending:
+        flush(X, D, L, n, U, V)
+    for j in range(n):
+        for k in range(n):
+            Lam[j, k] = L[j * STRIDE + k]

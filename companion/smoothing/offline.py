@@ -78,7 +78,7 @@ class _Smoother:
         after: Chunk | None = None
         parts: list[Solution] = []
         for chunk in reversed(tape.chunks):
-            count = int(np.count_nonzero(chunk.kinds == STEP))
+            count = rts.count_runs(chunk.kinds)
             before, foreseen, gains = (np.empty((count, n, n)) for _ in range(3))
             columns = (chunk.kinds, chunk.coarse, chunk.fine, triangle, self.lay)
             P = chunk.s[lo.P :].reshape(n, n).copy()

@@ -5,7 +5,8 @@
 
 around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). P and P⁻ are had again by
 walking a chunk of the tape forward from its P. Where P was multiplied by α² (FLAC), the gain over
-the step is α² P Φᵀ (P⁻)⁻¹: δx passes the weighting, and P_s is that much smaller before.
+the step is α² P Φᵀ (P⁻)⁻¹: δx passes the weighting, and P_s is that much smaller before. Steps
+with nothing between them are taken as one, by the product of their transitions.
 """
 
 from __future__ import annotations
@@ -81,6 +82,35 @@ def solve(L: F64, X: F64, n: int) -> None:
             X[i, j] = X[i, j] / L[i, i] if L[i, i] > 0.0 else 0.0
 
 
+@njit("b1(i1[::1], i8)", cache=True)
+def last_of_run(kinds: I8, i: int) -> bool:
+    """Whether the step ``i`` is the last one before something else, or of all."""
+    return bool(i + 1 == kinds.shape[0] or kinds[i + 1] != STEP)
+
+
+@njit("i8(i1[::1])", cache=True)
+def count_runs(kinds: I8) -> int:
+    """How many runs of steps there are."""
+    count = 0
+    for i in range(kinds.shape[0]):
+        count += kinds[i] == STEP and last_of_run(kinds, i)
+    return int(count)
+
+
+@njit("void(f8[:, :, ::1], i8, i8, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True)
+def _carry(B: F64, i_sa: int, i_sg: int, d: F64, X: F64, Y: F64) -> None:
+    """``X`` (n, n) ← D Φ ``X``; ``Y`` (9, n) is scratch."""
+    n = X.shape[0]
+    apply_transition(B, i_sa, i_sg, X, n, Y)
+    for j in range(9):
+        for k in range(n):
+            X[j, k] = Y[j, k]
+    for j in range(9, n):
+        if d[j] != 1.0:
+            for k in range(n):
+                X[j, k] *= d[j]
+
+
 @njit(
     "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, :, ::1])",
@@ -101,8 +131,8 @@ def covariances(
 ) -> None:
     """Walk ``P`` (n, n) over a chunk, in place.
 
-    For each step, ``before`` gets P (n, n), ``foreseen`` P⁻ and ``gains`` D Φ P, of which Cᵀ is
-    (P⁻)⁻¹ D Φ P.
+    For each run of steps without anything between them, ``before`` gets P (n, n), ``foreseen`` P⁻
+    and ``gains`` Ψ P with Ψ = D_m Φ_m … D_1 Φ_1, of which Cᵀ is (P⁻)⁻¹ Ψ P.
     """
     n = lay[L_N]
     i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
@@ -111,6 +141,7 @@ def covariances(
     d, q, dx = np.empty(n), np.empty(n), np.zeros(n)
     X, Y = np.empty((n, n)), np.empty((9, n))
     c, f, m = 0, 0, 0
+    inside = False
     for i in range(kinds.shape[0]):
         kind = kinds[i]
         if kind == STEP:
@@ -119,17 +150,21 @@ def covariances(
             transition_blocks(s, B)
             decay_factors(T, lay, par, d)
             noise_diagonal(numbers, T, lay, par, d, q)
-            apply_transition(B, i_sa, i_sg, P, n, Y)
+            G = gains[m]
+            if inside:
+                _carry(B, i_sa, i_sg, d, G, Y)
+            else:
+                for j in range(n):
+                    for k in range(n):
+                        before[m, j, k] = P[j, k]
+            _carry(B, i_sa, i_sg, d, P, Y)
+            if not inside:
+                for j in range(n):
+                    for k in range(n):
+                        G[j, k] = P[j, k]
+            inside = True
             for j in range(n):
                 for k in range(n):
-                    before[m, j, k] = P[j, k]
-            for j in range(9):
-                for k in range(n):
-                    P[j, k] = Y[j, k]
-            for j in range(n):
-                for k in range(n):
-                    P[j, k] *= d[j]
-                    gains[m, j, k] = P[j, k]
                     X[k, j] = P[j, k]
             apply_transition(B, i_sa, i_sg, X, n, Y)
             for j in range(9):
@@ -139,10 +174,12 @@ def covariances(
                 for k in range(j, n):
                     P[j, k] = P[k, j] = X[j, k] * d[j]
             add_noise(numbers, T, q, P)
-            for j in range(n):
-                for k in range(n):
-                    foreseen[m, j, k] = P[j, k]
-            m += 1
+            if last_of_run(kinds, i):
+                for j in range(n):
+                    for k in range(n):
+                        foreseen[m, j, k] = P[j, k]
+                m += 1
+                inside = False
             c += C_STEP
             f += size
         elif kind >= UPDATE:
@@ -249,15 +286,15 @@ def backward(
     t = np.empty(n)
     c, f = coarse.shape[0], fine.shape[0]
     row = rows.shape[0]
-    m = 0
-    for i in range(kinds.shape[0]):
-        m += kinds[i] == STEP
+    m = count_runs(kinds)
     for i in range(kinds.shape[0] - 1, -1, -1):
         kind = kinds[i]
         if kind == STEP:
-            m -= 1
             c -= C_STEP
             f -= size
+            if not last_of_run(kinds, i):
+                continue
+            m -= 1
             if not factor(foreseen[m], L, n):
                 return False
             A = gains[m]  # D Φ P, becomes Cᵀ

@@ -81,42 +81,6 @@ def carry_back(B: F64, i_sa: int, i_sg: int, x: F64) -> None:
         x[3 + i], x[6 + i] = v[i], a[i]
 
 
-@njit("void(f8[:, ::1], i8, f8[:, :, ::1], i8, f8[:, ::1], i8, i8)", cache=True)
-def _add_block(Y: F64, row: int, B: F64, block: int, X: F64, at: int, n: int) -> None:
-    """``Y[row + i]`` += column ``i`` of a block times rows ``at`` to ``at`` + 2 of ``X``.
-
-    Coefficients in locals, so that the inner loop becomes vector code.
-    """
-    for i in range(3):
-        b0, b1, b2 = B[block, 0, i], B[block, 1, i], B[block, 2, i]
-        for j in range(n):
-            Y[row + i, j] += b0 * X[at, j] + b1 * X[at + 1, j] + b2 * X[at + 2, j]
-
-
-@njit("void(f8[:, :, ::1], i8, i8, f8[:, ::1], f8[:, ::1])", cache=True)
-def carry_back_matrix(B: F64, i_sa: int, i_sg: int, X: F64, Y: F64) -> None:
-    """``Y`` ← Φᵀ ``X``, both (n, n) and apart."""
-    n = X.shape[0]
-    for i in range(n):
-        for j in range(n):
-            Y[i, j] = 0.0 if i < 9 else X[i, j]
-    for i in range(3):
-        T, g = B[1, i, i], B[8, 2, i]
-        for j in range(n):
-            Y[3 + i, j] = T * X[i, j]
-            Y[i, j] = g * X[5, j]
-    for row, block, at in (
-        (0, 0, 0), (3, 9, 3), (3, 17, 6), (6, 2, 0), (6, 10, 3), (6, 18, 6),
-        (9, 3, 0), (9, 11, 3), (12, 4, 0), (12, 12, 3), (12, 20, 6),
-    ):  # fmt: skip
-        _add_block(Y, row, B, block, X, at, n)
-    if i_sa >= 0:
-        for row, block, at in (
-            (i_sa, 5, 0), (i_sa, 13, 3), (i_sg, 6, 0), (i_sg, 14, 3), (i_sg, 22, 6),
-        ):  # fmt: skip
-            _add_block(Y, row, B, block, X, at, n)
-
-
 @njit("void(f8, i8[::1], f8[::1], f8[::1])", cache=True)
 def decay_factors(T: float, lay: I64, par: F64, d: F64) -> None:
     """``d`` (n,): diagonal of D over an interval ``T`` [s]."""
