@@ -20,6 +20,7 @@ from companion.config import Config, load
 from companion.smoothing.offline import Method, smooth
 from companion.types import NS, Solution, VehicleRecording
 from replay.bench.flight import flight
+from replay.on_line import on_line_config, smooth_on_line
 from replay.preparation import withhold_gnss
 from replay.reader import read_log
 from replay.recorded import RecordedRun, record
@@ -29,6 +30,9 @@ from tests.benchmarks.common import ROOT, errors_against, need_data, start_ns, t
 
 ROUNDS = 3
 RATE_HZ = 10.0
+WINDOWS = (1, 3, 7)
+ON_LINE = (1, 7)
+"""Windows of the drive: update intervals."""
 
 
 def worst(vehicle: VehicleRecording, solution: Solution, window: Window) -> float:
@@ -42,18 +46,24 @@ def worst(vehicle: VehicleRecording, solution: Solution, window: Window) -> floa
 
 
 def drive(vehicle: VehicleRecording, config: Config) -> list[list[str]]:
-    """Mean and largest over the places of the worst error, forward and smoothed, by length."""
+    """Mean and largest over the places of the worst error, by length and kind of solution."""
     rows = []
+    smoothing = msgspec.structs.replace(config.smoothing, longest_interval_s=2.0 * max(LENGTHS_S))
+    patient = msgspec.structs.replace(config, smoothing=smoothing)
     for length in LENGTHS_S:
         found = []
         for window in places(vehicle, length):
-            run = record(withhold_gnss(vehicle, [window]), config, rate_hz=RATE_HZ)
-            smoothed = smooth(run.tapes, run.config)
-            found.append([worst(vehicle, s, window) for s in (run.solution, smoothed)])
+            cut = withhold_gnss(vehicle, [window])
+            run = record(cut, config, rate_hz=RATE_HZ)
+            late = [
+                smooth_on_line(cut, on_line_config(patient, w, RATE_HZ)).smoothed.solution
+                for w in ON_LINE
+            ]
+            solutions = (run.solution, *late, smooth(run.tapes, run.config))
+            found.append([worst(vehicle, s, window) for s in solutions])
         mean, largest = np.mean(found, axis=0), np.max(found, axis=0)
-        rows.append(
-            [f"{length} s", *(f"{x:.2f}" for x in (mean[0], largest[0], mean[1], largest[1]))]
-        )
+        pairs = zip(mean, largest, strict=True)
+        rows.append([f"{length} s", *(f"{x:.2f}" for pair in pairs for x in pair)])
     return rows
 
 
@@ -82,6 +92,10 @@ def cost() -> str:
     def back(covariance: bool, method: Method) -> Callable[[], Solution]:
         return lambda: smooth(runs[str(covariance)].tapes, config, method)
 
+    def on_line(window: int | None) -> Callable[[], object]:
+        played = config if window is None else on_line_config(config, window, RATE_HZ)
+        return lambda: smooth_on_line(vehicle, played)
+
     parts: dict[str, Callable[[], object]] = {
         "forward": forward(None),
         "forward, tape": forward(False),
@@ -89,6 +103,8 @@ def cost() -> str:
         "Bryson-Frazier, states": back(False, "bryson-frazier"),
         "Bryson-Frazier, covariance": back(True, "bryson-frazier"),
         "RTS": back(False, "rts"),
+        "as played": on_line(None),
+        **{f"on line, window {w}": on_line(w) for w in WINDOWS},
     }
     times: dict[str, list[float]] = {name: [] for name in parts}
     for _ in range(ROUNDS):
@@ -105,8 +121,13 @@ def cost() -> str:
         extra = cpu[tape] + cpu[back_name] - one
         history = runs[str(name == "with covariance")].tape_bytes / 1e6
         rows.append([name, f"{100 * extra / one:+.0f} %", f"{history:.0f} MB"])
+    for window in WINDOWS:
+        extra = cpu[f"on line, window {window}"] - cpu["as played"]
+        name = f"on line with covariance, window {window}"
+        rows.append([name, f"{100 * extra / cpu['as played']:+.0f} %", ""])
     head = [f"one hour, output {RATE_HZ:g} Hz", "CPU over forward", "history"]
-    return f"forward filter {one:.1f} s of CPU\n" + table(head, rows)
+    each_us = 1e6 * one / len(vehicle.imu[0])
+    return f"forward filter {one:.2f} s of CPU, {each_us:.2f} µs an epoch\n" + table(head, rows)
 
 
 def main(parts: list[str]) -> None:
@@ -114,7 +135,8 @@ def main(parts: list[str]) -> None:
     if not parts or "drive" in parts:
         vehicle = read_log([need_data("car-rtk")]).vehicles[0]
         config = load(ROOT / "configs" / "car.toml")
-        head = ["car-rtk: error inside [m]", "forward mean", "worst", "smoothed mean", "worst"]
+        names = ["forward", *(f"on line {w}" for w in ON_LINE), "off line"]
+        head = ["error inside [m]", *(x for n in names for x in (f"{n}: mean", "worst"))]
         for name, constraint in (("inertial only", False), ("non-holonomic", True)):
             print(f"{name}\n{table(head, drive(vehicle, variant(config, constraint, True)))}\n")
     if not parts or "cost" in parts:
