@@ -16,10 +16,12 @@ from replay.player import arrivals, play
 from tests.determinism.test_bits import flight_of, with_arrivals
 
 
-@pytest.fixture(scope="module", params=["multirotor-mission", "car-with-stops"])
+@pytest.fixture(
+    scope="module", params=[("multirotor-mission", "magnetometer"), ("car-with-stops", "unknown")]
+)
 def flight(request: pytest.FixtureRequest) -> tuple[VehicleRecording, Config]:
-    """A minute in which the heading is found on the way."""
-    vehicle, config = flight_of(request.param, "unknown")
+    """A minute of a flight, and of a drive whose heading is found on the way."""
+    vehicle, config = flight_of(*request.param)
     smoothing = msgspec.structs.replace(config.smoothing, enabled=True, window=2, mixed=True)
     t0 = int(vehicle.imu[0].t_ns[0])
 
