@@ -6,6 +6,8 @@ RUN_STAMP := $(VENV)/.installed
 DEV_STAMP := $(VENV)/.installed-dev
 SAMPLE := $(wildcard replay/data/*.tlog)
 OUT := out
+# Live tests wait most of the time; tests/conftest.py keeps them from meeting each other.
+SIDE_BY_SIDE := -n 2 --dist loadgroup
 
 .PHONY: run test test-all lint clean
 
@@ -16,12 +18,12 @@ run: $(RUN_STAMP)
 # The kernels are compiled once in one process, so that no test measures or races a compiler.
 test: $(DEV_STAMP)
 	$(BIN)/python -m replay.kernels
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
 
 # With the long fuzz runs.
 test-all: $(DEV_STAMP)
 	$(BIN)/python -m replay.kernels
-	$(BIN)/python -m pytest -m 'slow or not slow'
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m 'slow or not slow'
 
 lint: $(DEV_STAMP)
 	$(BIN)/ruff check .

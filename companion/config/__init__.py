@@ -221,7 +221,6 @@ def _check(config: Config) -> None:
     last = config.alignment.last_heading
     if last is not None:
         within("alignment.last_heading.heading_deg", last.heading_deg, -360.0, 360.0, "degrees")
-        within("alignment.last_heading.turn_dps", last.turn_dps, 0.0, 1e4, "deg/s")
         positive("alignment.last_heading.sd_deg", last.sd_deg, "degrees")
     check_live(config)
 

@@ -132,15 +132,13 @@ class Constraints(Section):
 
 
 class LastHeading(Section):
-    """Heading that an earlier run ended with; a warm start writes it."""
+    """Heading in which an earlier run left a vehicle that stood; a warm start writes it."""
 
     heading_deg: float
     sd_deg: float
     """1σ, at ``t_ns``."""
     t_ns: int
     """UTC [ns]."""
-    turn_dps: float
-    """Fastest turn over a second within the run's last minute: what it may have done since."""
 
 
 class Alignment(Section):
@@ -153,7 +151,8 @@ class Alignment(Section):
     """Filters in the bank over an unknown heading."""
     heading_found_sd_deg: float = 8.0
     last_heading: LastHeading | None = None
-    """Used with ``auto`` where, widened by its age, it is better than what else there is."""
+    """Used with ``auto`` where the vehicle still stands and, widened by its age, it is better than
+    what else there is."""
 
 
 class EngineConfig(Section):

@@ -26,8 +26,8 @@ from companion.types import F64, NS, Event, Mode
 MAG_AGE_NS = NS
 LAST_HEADING_SD = math.radians(15.0)
 """Beyond it one filter would not do for a heading: each of the bank's twelve is as sure."""
-LEAST_TURN_DPS = 1.0
-"""Rate at which the heading of an earlier run fades at least."""
+FADE_DPS = 1.0
+"""How fast the heading fades in which a vehicle was left standing [deg/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,24 +149,23 @@ def _heading(setup: Setup, lev: Level, aids: SampleBuffer, j: int, speed: float)
         fixed = cfg.alignment.fixed_heading_deg * DEG
         return _Heading(fixed, cfg.mag.sd_deg * DEG, (0.0, 0.0), "configuration")
     found = _measured_heading(setup, lev, aids, j, speed)
-    before = _last_heading(cfg, int(aids.t[j])) if wish == "auto" else None
+    before = _last_heading(cfg, lev, int(aids.t[j])) if wish == "auto" else None
     if before is not None and (found is None or before.sd < found.sd):
         return before
     return found or _Heading(0.0, math.pi, (0.0, 0.0), "unknown")
 
 
-def _last_heading(cfg: Config, t: int) -> _Heading | None:
-    """What an earlier run knew, as far as the vehicle may have turned since; None if that is far.
+def _last_heading(cfg: Config, lev: Level, t: int) -> _Heading | None:
+    """The heading that an earlier run left, where the vehicle stood then and stands now.
 
-    sd² = saved² + (turn · age)². Nobody saw it turn in between: within the age of a restart it may
-    have turned all the time as fast as it did of late, and be it at rest, somebody may turn it.
+    sd² = saved² + (fade · age)². Nobody saw whether it was turned in between, so this is for the
+    seconds of a restart; a heading in motion is not worth keeping even for those.
     """
     last = cfg.alignment.last_heading
     # A clock that is behind the file's says nothing about its age.
-    if last is None or t < last.t_ns:
+    if last is None or not lev.static or t < last.t_ns:
         return None
-    turned = max(last.turn_dps, LEAST_TURN_DPS) * (t - last.t_ns) / NS
-    sd = math.hypot(last.sd_deg, turned) * DEG
+    sd = math.hypot(last.sd_deg, FADE_DPS * (t - last.t_ns) / NS) * DEG
     if sd > LAST_HEADING_SD:
         return None
     return _Heading(last.heading_deg * DEG, sd, (0.0, 0.0), "the last run")

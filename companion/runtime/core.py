@@ -108,6 +108,10 @@ class Session(Protocol):
     def counters(self) -> Any:
         """Dataclass of counters; ``pieces`` and ``bad_crc`` among them."""
 
+    @property
+    def signing_counters(self) -> Any:
+        """Dataclass of what verifying signatures counted; None without a key."""
+
 
 class Core:
     """One vehicle: drivers, selection, engine, health and log, in order of arrival."""
@@ -357,6 +361,9 @@ class Core:
             out |= {f"{source}.{name}": n for name, n in asdict(decoder.counters).items()}
         if self._session is not None:
             out |= {f"mavlink.{name}": n for name, n in asdict(self._session.counters).items()}
+            signing = self._session.signing_counters
+            if signing is not None:
+                out |= {f"mavlink.signing.{name}": n for name, n in asdict(signing).items()}
         return out
 
     def _smoothing_counters(self) -> dict[str, int]:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import deque
 from pathlib import Path
 
-from companion.config import DEG, LastHeading
+import numpy as np
+
+from companion.config import DEG, Config, LastHeading
 from companion.navigation.rotation import rpy_from_quat
 from companion.runtime import saved_state
 from companion.runtime.core import Core
@@ -20,38 +21,22 @@ from companion.types import COV_ATT, NS, Event, Mode, Solution
 
 DURABLE_NS = 60 * NS
 """Flushed to the disk this often; a card does not want it more often."""
-TURNS, AT_LEAST = 60, 10
-"""Seconds for which the fastest turn is remembered, and without which it is not known."""
 
 
-class Turning:
-    """The heading of a run and the fastest that it turned of late. Pure."""
+def standing_heading(config: Config, last: Solution) -> LastHeading | None:
+    """Heading at the newest epoch of a vehicle that stands; None for one that moves, or without.
 
-    def __init__(self) -> None:
-        self._turns: deque[float] = deque(maxlen=TURNS)
-        self._last: tuple[int, float] | None = None
-
-    def heading(self, last: Solution) -> LastHeading | None:
-        """Heading at the newest epoch; to be asked about once a second.
-
-        None without one, and before it is known how the vehicle turns.
-        """
-        if not len(last) or last.mode[-1] not in (Mode.NAVIGATING, Mode.COASTING):
-            self._last = None
-            return None
-        t_ns, yaw = int(last.t_ns[-1]), float(rpy_from_quat(last.q_nb[-1])[2])
-        sd = math.sqrt(max(float(last.cov[-1, COV_ATT, 5]), 0.0))
-        if not (math.isfinite(yaw) and math.isfinite(sd)):
-            return None
-        if self._last is not None and t_ns > self._last[0]:
-            turned = abs(math.remainder(yaw - self._last[1], 2.0 * math.pi))
-            self._turns.append(turned * NS / (t_ns - self._last[0]))
-        self._last = t_ns, yaw
-        if len(self._turns) < AT_LEAST or sd == 0.0:
-            return None
-        return LastHeading(
-            heading_deg=yaw / DEG, sd_deg=sd / DEG, t_ns=t_ns, turn_dps=max(self._turns) / DEG
-        )
+    In motion it would be worth nothing: simulated vehicles that had flown straight for a minute
+    turned by 30 of the standard deviations that this minute promised, within three seconds.
+    """
+    if not len(last) or last.mode[-1] != Mode.NAVIGATING:
+        return None
+    yaw = float(rpy_from_quat(last.q_nb[-1])[2])
+    sd = math.sqrt(max(float(last.cov[-1, COV_ATT, 5]), 0.0))
+    stands = float(np.linalg.norm(last.vel_n[-1])) < config.constraints.standstill_speed_mps
+    if not (stands and math.isfinite(yaw) and 0.0 < sd < math.inf):
+        return None
+    return LastHeading(heading_deg=yaw / DEG, sd_deg=sd / DEG, t_ns=int(last.t_ns[-1]))
 
 
 class Keeper:
@@ -61,7 +46,6 @@ class Keeper:
         """``before``: what the run began with; its biases are kept until there are better ones."""
         self._path = path
         self._biases = before.biases if before is not None else None
-        self._turning = Turning()
         self._safe_ns: int | None = None
         self._thread: threading.Thread | None = None
         self._trouble = ""
@@ -88,7 +72,6 @@ class Keeper:
             self._thread.join(5.0)
 
     def _state(self, core: Core) -> SavedState | None:
-        heading = self._turning.heading(core.last)
         source = known_imu(core.config)
         if source:
             self._biases = saved_state.learned(core.config, source, core.last) or self._biases
@@ -98,7 +81,7 @@ class Keeper:
             saved_ns=core.now_ns,
             axes=core.config.imu.axes,
             biases=self._biases,
-            heading=heading,
+            heading=standing_heading(core.config, core.last),
             inputs={chosen.kind: chosen.source for chosen in core.selection.chosen},
             autopilot=core.autopilot,
         )

@@ -164,8 +164,7 @@ def _sound_biases(biases: SavedBiases | None) -> bool:
 def _sound_heading(heading: LastHeading | None) -> bool:
     if heading is None:
         return True
-    values = (heading.heading_deg, heading.sd_deg, heading.turn_dps)
-    return all(map(math.isfinite, values)) and heading.sd_deg > 0 and heading.turn_dps >= 0
+    return math.isfinite(heading.heading_deg) and 0 < heading.sd_deg < math.inf
 
 
 # ------------------------------------------------------------------ a start from them

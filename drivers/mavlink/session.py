@@ -357,6 +357,11 @@ class MavlinkSession:
         self._events.append(Event(now_ns, kind, text, level))
 
     @property
+    def signing_counters(self) -> SigningCounters | None:
+        """What verifying signatures did; None without a key."""
+        return self._signing.counters if self._signing is not None else None
+
+    @property
     def vehicle(self) -> tuple[int, int] | None:
         """(system, component) of the autopilot; None before it is heard."""
         return self._vehicle
@@ -394,5 +399,5 @@ class MavlinkSession:
             round_trip_ms=trip * 1e-6 if trip is not None else nan,
             restarts=self.clock.restarts,
             rates=self.rates.report(),
-            signing=self._signing.counters if self._signing is not None else None,
+            signing=self.signing_counters,
         )

@@ -44,6 +44,7 @@ class FakeSession:
     """Stands in for the MAVLink driver: a piece of bytes is a pickled list of samples."""
 
     height_datum: Literal["hae", "msl"] | None = "msl"
+    signing_counters = None
 
     def __init__(self) -> None:
         self.counters = FakeCounters()

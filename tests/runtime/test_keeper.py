@@ -1,4 +1,4 @@
-"""What a run leaves for the next one: its heading, and how fast it may have turned since."""
+"""What a run leaves for the next one: heading, streams, biases."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config import Alignment
+from companion.config import Alignment, Config
 from companion.navigation.rotation import quat_from_rpy
 from companion.runtime import saved_state
-from companion.runtime.keeper import AT_LEAST, TURNS, Keeper, Turning
+from companion.runtime.keeper import Keeper, standing_heading
 from companion.types import COV_ATT, NS, Mode, Solution
 
 from .flights import can_frames, fly, pieces, vehicle, with_can
@@ -20,39 +20,36 @@ from .flights import can_frames, fly, pieces, vehicle, with_can
 T0 = 1_750_000_000 * NS
 
 
-def _epoch(second: int, yaw_deg: float, mode: Mode = Mode.NAVIGATING) -> Solution:
+def _epoch(speed_mps: float, mode: Mode = Mode.NAVIGATING, yaw_sd_deg: float = 2.0) -> Solution:
     cov = np.zeros((1, 5, 6))
-    cov[0, COV_ATT, [0, 3, 5]] = np.square(np.radians([0.1, 0.1, 2.0]))
+    cov[0, COV_ATT, [0, 3, 5]] = np.square(np.radians([0.1, 0.1, yaw_sd_deg]))
     one, three = np.zeros(1), np.zeros((1, 3))
-    q = quat_from_rpy(0.1, -0.1, math.radians(yaw_deg))[np.newaxis]
+    vel_n = np.array([[0.0, -speed_mps, 0.0]])
+    q = quat_from_rpy(0.1, -0.1, math.radians(-10.0))[np.newaxis]
     kind = np.array([int(mode)])
-    return Solution(
-        np.array([T0 + second * NS]), one, one, one, three, q, three, three, cov, kind, kind
-    )
+    return Solution(np.array([T0]), one, one, one, vel_n, q, three, three, cov, kind, kind)
 
 
-def test_the_fastest_turn_of_the_last_minute() -> None:
-    turning = Turning()
-    yaws = [350.0, 355.0, 1.0, -2.0] + [-2.0] * AT_LEAST
-    found = [turning.heading(_epoch(at, yaw)) for at, yaw in enumerate(yaws)]
-    assert found[:AT_LEAST] == [None] * AT_LEAST  # not known yet how it turns
-    last = found[-1]
-    assert last is not None
-    assert last.heading_deg == pytest.approx(-2.0)
-    assert last.sd_deg == pytest.approx(2.0)
-    assert last.turn_dps == pytest.approx(6.0)  # from 355 to 1, not 354
-    assert last.t_ns == T0 + (len(yaws) - 1) * NS
-    for at in range(len(yaws), len(yaws) + TURNS):
-        last = turning.heading(_epoch(at, -2.0))
-    assert last is not None
-    assert last.turn_dps == pytest.approx(0.0, abs=1e-9)
+def test_the_heading_of_a_vehicle_that_stands() -> None:
+    left = standing_heading(Config(), _epoch(0.05))
+    assert left is not None
+    assert left.heading_deg == pytest.approx(-10.0)
+    assert left.sd_deg == pytest.approx(2.0)
+    assert left.t_ns == T0
 
 
-def test_no_heading_no_word_of_it() -> None:
-    turning = Turning()
-    for at in range(2 * AT_LEAST):
-        assert turning.heading(_epoch(at, 10.0, Mode.HEADING_UNKNOWN)) is None
-    assert turning.heading(Solution.empty()) is None
+@pytest.mark.parametrize(
+    "last",
+    [
+        _epoch(2.0),
+        _epoch(0.0, Mode.HEADING_UNKNOWN),
+        _epoch(0.0, Mode.COASTING),
+        _epoch(0.0, yaw_sd_deg=math.nan),
+        Solution.empty(),
+    ],
+)
+def test_no_heading_worth_keeping(last: Solution) -> None:
+    assert standing_heading(Config(), last) is None
 
 
 def test_a_run_leaves_its_state(tmp_path: Path) -> None:

@@ -172,7 +172,7 @@ def test_a_run_begins_warm_and_says_so(tmp_path: Path) -> None:
 
 
 def test_heading_and_streams_of_an_earlier_run(tmp_path: Path) -> None:
-    heading = LastHeading(heading_deg=-170.0, sd_deg=2.0, t_ns=NOW, turn_dps=3.0)
+    heading = LastHeading(heading_deg=-170.0, sd_deg=2.0, t_ns=NOW)
     saved = msgspec.structs.replace(
         _saved(), heading=heading, inputs={"gnss": "GPS2_RAW", "sonar": "x"}, autopilot=(3, 1)
     )
