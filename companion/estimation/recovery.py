@@ -209,6 +209,8 @@ def _restarted(
     place_at(setup, s, last[:3], 4.0 * last[6:9] + moved)
     for part in range(2):
         _take_velocity(setup, s, part, last, velocity, ahead)
+    # Innovations of what is given up say nothing of the sensors.
+    s[lo.WINDOWS : lo.WINDOWS + lo.ADAPTED * lo.WINDOW_SIZE] = 0.0
     s[lo.VELOCITY_FIT] = s[lo.LOG_LIKELIHOOD] = s[lo.BANK_NIS] = s[lo.BANK_DOF] = 0.0
     sf.forget(s, k)
     k[lo.RESETS] += 1

@@ -21,7 +21,7 @@ from companion.types import F64
 
 GATE = 18.4
 """χ² of two degrees of freedom, 99.99 %."""
-POS_H, VEL_H = 0, 2
+POS_H, VEL_H, VEL_V, BARO, MAG = 0, 2, 3, 4, 5
 
 
 class Channel:
@@ -159,6 +159,16 @@ def test_a_mean_of_doppler_velocity_is_the_inertial_units() -> None:
     _biased(channel, strained=False)
     assert channel.trace[al.TO_MODEL] == 1.0
     assert channel.s[lo.Q_SCALE] > 2.0
+
+
+def test_what_drifts_in_velocity_is_no_witness_for_a_compass() -> None:
+    shares = []
+    for channel in (BARO, MAG):
+        one = Channel(channel=channel)
+        one.s[lo.WINDOWS + VEL_V * lo.WINDOW_SIZE + al.DRIFT] = 0.8
+        _biased(one, strained=False)
+        shares.append(float(one.trace[al.TO_MODEL]))
+    assert shares == [0.8, 0.0]
 
 
 @pytest.mark.parametrize("m", [1, 2])

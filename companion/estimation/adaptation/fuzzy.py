@@ -48,7 +48,7 @@ from companion.navigation.layout import ADAPTED, Q_SCALE, R_SCALE, RECEPTION, WI
 from companion.types import F64
 
 # channels, as types.Channel
-_VEL_H, _VEL_V = 2, 3
+_VEL_H, _VEL_V, _MAG = 2, 3, 5
 SMALLEST = 1e-9
 """Ratio of variances that is as good as none."""
 
@@ -111,7 +111,7 @@ def attribute(s: F64, w: F64, channel: int, correlated: float) -> tuple[float, f
     model = 1.0
     if channel != _VEL_H and channel != _VEL_V:
         witness = WINDOWS + (_VEL_H if channel == 0 else _VEL_V) * WINDOW_SIZE
-        model = max(w[MOTION], s[witness + DRIFT])
+        model = max(w[MOTION], 0.0 if channel == _MAG else s[witness + DRIFT])
     received = 1.0 - s[RECEPTION] if channel <= _VEL_V else 1.0
     model *= received
     return model, (received - model) * correlated
