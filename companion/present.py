@@ -86,6 +86,7 @@ def show_run(console: Console, run: Mapping[str, Any]) -> None:
     _show_sensors(console, run["sensors"])
     _show_start(console, run["start"])
     _show_gates(console, run["gates"])
+    _show_sources(console, run["sources"])
     _show_events(console, run["events"])
     _show_adaptation(console, run["adaptation"])
     if run["accuracy"] is not None:
@@ -177,6 +178,20 @@ def _show_gates(console: Console, gates: Mapping[str, Mapping[str, Any]]) -> Non
             why.replace("_", " "),
         )
     console.print(table)
+
+
+def _show_sources(console: Console, sources: Mapping[str, Mapping[str, Any]]) -> None:
+    for name, source in sources.items():
+        refused = [f"single fixes from {_number(source['smallest_spike_m'], 1)} m off"]
+        if source["slowest_drift_mps"] is not None:
+            refused.append(
+                f"drifts from {source['slowest_drift_mps']:.2f} m/s, once "
+                f"{source['drift_found_at_m']:.1f} m off"
+            )
+        faulty = f"; faulty for {source['faulty_s']:.1f} s" if source["faulty_s"] > 0 else ""
+        console.print(
+            f"GNSS      {name}: refused are {', and '.join(refused)}{faulty}", highlight=False
+        )
 
 
 def _show_events(console: Console, events: Sequence[Mapping[str, Any]], most: int = 12) -> None:

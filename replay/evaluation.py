@@ -426,7 +426,7 @@ def _nis_means(reports: AidingReports) -> dict[str, float]:
     fused = (reports.verdict == Verdict.ACCEPTED) & (reports.dof > 0) & np.isfinite(reports.nis)
     for channel in Channel:
         rows = fused & (reports.channel == channel)
-        if rows.any():
+        if rows.any() and channel not in (Channel.SOURCE_H, Channel.SOURCE_V):
             out[channel.name.lower()] = float(reports.nis[rows].sum() / reports.dof[rows].sum())
     return out
 

@@ -21,6 +21,7 @@ from companion.types import (
     Verdict,
 )
 from replay.adaptation_story import Episode, episodes
+from replay.integrity import Source, sources
 
 _MOVING_MPS = 0.3
 """Slower is taken for standing: the noise of a parked vehicle must not add up to kilometres."""
@@ -84,6 +85,8 @@ class Summary(msgspec.Struct, frozen=True):
     start: Start
     gates: dict[str, Gate]
     events: list[dict[str, Any]]
+    sources: dict[str, Source]
+    """What the receiver's position and height were held to, by those names."""
     adaptation: list[Episode]
     """What the adaptation scaled, when and why."""
 
@@ -106,6 +109,7 @@ def summarise(
         ],
         start=_start(solution),
         gates=_gates(reports),
+        sources=sources(reports),
         events=[
             {
                 "time_s": (e.t_ns - origin) / NS if len(solution) else None,
@@ -167,7 +171,7 @@ def _gates(reports: AidingReports) -> dict[str, Gate]:
     gates: dict[str, Gate] = {}
     for channel in Channel:
         mine = reports.channel == channel
-        if not mine.any():
+        if channel in (Channel.SOURCE_H, Channel.SOURCE_V) or not mine.any():
             continue
         verdict = reports.verdict[mine]
         accepted = mine & (reports.verdict == Verdict.ACCEPTED)
