@@ -288,19 +288,28 @@ class Engine:
         self._outlet.publish(self.filter)
 
     def _keep_new_reports(self, mark: int, until: int, new: Admitted) -> None:
-        """Of the reports walked again, keep only those of the aids that are new."""
+        """Of the reports walked again, keep only those of the aids that are new.
+
+        Reports stand in order of time: those later than ``until`` are new, and stay.
+        """
         buffer = self.filter.reports
-        times = buffer.t[mark : buffer.end]
-        rows = buffer.rows[mark : buffer.end]
-        own = (times == new.t[0]) if len(new.t) == 1 else np.isin(times, new.t)
-        if own.any():
-            own &= _KIND_OF_CHANNEL[rows[:, up.R_CHANNEL].astype(np.int64)] == new.kind
-            own &= rows[:, up.R_SOURCE] == new.source
-        keep = own | (times > until)
-        n = int(keep.sum())
-        buffer.t[mark : mark + n] = times[keep]
-        buffer.rows[mark : mark + n] = rows[keep]
-        buffer.end = mark + n
+        again = mark + int(buffer.t[mark : buffer.end].searchsorted(until, side="right"))
+        wanted = set(new.t.tolist())
+        kept = mark
+        for at, t in enumerate(buffer.t[mark:again].tolist(), mark):
+            if t in wanted and self._is_of(buffer.rows[at], new):
+                buffer.t[kept], buffer.rows[kept] = t, buffer.rows[at]
+                kept += 1
+        if kept < again:
+            end = kept + buffer.end - again
+            buffer.t[kept:end] = buffer.t[again : buffer.end].copy()
+            buffer.rows[kept:end] = buffer.rows[again : buffer.end].copy()
+            buffer.end = end
+
+    @staticmethod
+    def _is_of(report: F64, aid: Admitted) -> bool:
+        kind = _KIND_OF_CHANNEL[int(report[up.R_CHANNEL])]
+        return bool(kind == aid.kind and report[up.R_SOURCE] == aid.source)
 
     def _one_by_one(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
         """A block's arrivals each in a step of its own."""
@@ -326,14 +335,21 @@ class Engine:
         head = self._head
         return NEVER if head is None else head - self._ring_ns - 1
 
+    @property
+    def _nothing_to_report(self) -> bool:
+        return not (self._aiding.refused or len(self.filter.reports))
+
     def _reports(self) -> tuple[AidingReports, AdaptationTrace]:
         traced = trace(self.filter.reports)
         return reports(self.filter.reports, self._aiding.take_refusals()), traced
 
     def _drain(self, final: bool = False) -> Outputs:
         """What is new and, behind the delay ring or at the end, what is settled."""
-        head, horizon = self._head, self._horizon(final)
         self._outlet.publish(self.filter)
+        if not final and self._outlet.silent and self._nothing_to_report:
+            # One sample a call: most calls end here. What has settled comes with the next epoch.
+            return NOTHING
+        head, horizon = self._head, self._horizon(final)
         said, traced = self._reports()
         out = Outputs(
             self._outlet.published(),

@@ -64,15 +64,25 @@ class Outlet:
         rows = estimator.rows
         a, b = rows.after(self._published_t), rows.end
         if a < b:
-            self._published.update(rows.t[a:b], rows.rows[a:b])
             self._published_t = int(rows.t[b - 1])
             self._fresh.append((rows.t[a:b].copy(), rows.rows[a:b].copy()))
         if estimator.events:
             self._note(estimator.events)
 
+    @property
+    def silent(self) -> bool:
+        """Whether there is neither an epoch nor an event to give out."""
+        return not (self._fresh or self._unsaid)
+
     def published(self) -> Solution:
         """The epochs set aside since the last call."""
         fresh, self._fresh = self._fresh, []
+        if len(fresh) > 1:
+            columns = zip(*fresh, strict=True)
+            t, rows = (np.concatenate(column) for column in columns)
+            fresh = [(t, rows)]
+        for t, rows in fresh:
+            self._published.update(t, rows)
         return solution_of(fresh)
 
     def settled(self, rows: SampleBuffer, horizon: int) -> Solution:

@@ -65,7 +65,9 @@ class Admitted:
 
     def put(self, table: SampleBuffer) -> None:
         """Into the aid table, sorted by time and, where that is equal, kind and source."""
-        if len(self.t) == 0:
+        if len(self.t) <= 1:
+            if len(self.t):
+                table.insert(int(self.t[0]), self.rows[0], np.array([self.kind, self.source]))
             return
         last = table.t[table.end - 1] if len(table) else NEVER
         key = np.array([self.kind, self.source])
@@ -142,6 +144,11 @@ class AidIntake:
             verdict = np.full(len(gone), Verdict.REFUSED_NOT_ALIGNED)
             self._refuse(w.KIND_MAG, 0, gone.t_ns, verdict)
         return True
+
+    @property
+    def refused(self) -> bool:
+        """Whether there are refusals to report."""
+        return bool(self._refusals)
 
     def take_refusals(self) -> list[AidingReports]:
         """Reports of what was refused since the last call."""

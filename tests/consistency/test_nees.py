@@ -8,8 +8,13 @@ for all epochs and blocks of a scenario together (Bonferroni).
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
+from scipy.stats import chi2
+
+from companion.types import Channel
 
 from . import runs
 
@@ -42,15 +47,25 @@ def test_drive_with_heading_found_in_motion_does_not_claim_too_much() -> None:
     assert np.all(mean < _bounds(len(times))[1])
 
 
-@pytest.mark.parametrize("name", ["fixed-wing", "multirotor-mission"])
-def test_flight_is_consistent(name: str) -> None:
-    """Heading given with 5° of error. Upper bound at every epoch, both bounds at the last.
+FLIGHT_TIMES = (5.0, 35.0, 50.0, 64.0)
+INNOVATIONS = (
+    Channel.GNSS_POSITION_H,
+    Channel.GNSS_POSITION_V,
+    Channel.GNSS_VELOCITY_H,
+    Channel.GNSS_VELOCITY_V,
+    Channel.BARO,
+)
 
-    Early on the gyro bias is claimed too cautiously: its variance at rest is the larger of two
-    estimates of the same noise. Zero velocity is off: simulated standing is stiller than stated.
+
+@cache
+def _flights(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """(SEEDS, epochs, 5) NEES of flights with a heading given to 5°, and (channels, 2) of all
+    their innovations: the sum of NIS and of degrees of freedom.
+
+    Zero velocity is off: simulated standing is stiller than stated.
     """
-    times = (35.0, 50.0, 64.0)
-    out = np.empty((SEEDS, len(times), 5))
+    out = np.empty((SEEDS, len(FLIGHT_TIMES), 5))
+    sums = np.zeros((len(INNOVATIONS), 2))
     for seed in range(SEEDS):
         scenario = runs.honest(name, 65.0, 30.0)
         sim = runs.run(scenario, seed)
@@ -63,13 +78,36 @@ def test_flight_is_consistent(name: str) -> None:
             constraints={"zero_velocity": False},
         )
         flown = runs.fly(sim.recording, config)
-        at = runs.epochs(flown.solution, sim.t0_ns, times)
+        at = runs.epochs(flown.solution, sim.t0_ns, FLIGHT_TIMES)
         out[seed] = runs.nees(runs.errors(sim, flown.solution), flown.solution)[at]
-    mean = out.mean(axis=0)
-    low, high = _bounds(len(times))
+        for i, channel in enumerate(INNOVATIONS):
+            own = (flown.reports.channel == channel) & (flown.reports.dof > 0)
+            sums[i] += flown.reports.nis[own].sum(), flown.reports.dof[own].sum()
+    return out, sums
+
+
+@pytest.mark.parametrize("name", ["fixed-wing", "multirotor-mission"])
+def test_flight_is_consistent(name: str) -> None:
+    """Both bounds at every epoch, at rest and in flight."""
+    mean = _flights(name)[0].mean(axis=0)
+    low, high = _bounds(len(FLIGHT_TIMES))
     print("NEES by epoch", dict(zip(runs.BLOCKS, mean.T.round(2).tolist(), strict=True)))
+    assert np.all(mean > low)
     assert np.all(mean < high)
-    assert np.all(mean[-1] > low)
+
+
+@pytest.mark.parametrize("name", ["fixed-wing", "multirotor-mission"])
+def test_innovations_are_as_large_as_the_filter_says(name: str) -> None:
+    """NIS of a filter without adaptation: innovations of an optimal filter are white, so the sum
+    over all updates of all flights is χ². Gated ones count too."""
+    nis, dof = _flights(name)[1].T
+    tail = 0.5 * 0.05 / len(INNOVATIONS)
+    low, high = chi2.ppf([[tail], [1.0 - tail]], dof) / dof
+    mean = nis / dof
+    print("NIS/dof", {c.name: round(float(m), 3) for c, m in zip(INNOVATIONS, mean, strict=True)})
+    assert np.all(dof > 10_000)
+    assert np.all(mean > low)
+    assert np.all(mean < high)
 
 
 def test_a_receiver_whose_error_wanders_is_known_to_from_its_first_fix_on() -> None:
