@@ -346,21 +346,21 @@ class Engine:
     def _drain(self, final: bool = False) -> Outputs:
         """What is new and, behind the delay ring or at the end, what is settled."""
         self._outlet.publish(self.filter)
+        head = self._head
+        if head is None or abs(head - self._forgot_ns) > FORGET_NS:
+            self._forget(head)
         if not final and self._outlet.silent and self._nothing_to_report:
             # One sample a call: most calls end here. What has settled comes with the next epoch.
             return NOTHING
-        head, horizon = self._head, self._horizon(final)
+        horizon = self._horizon(final)
         said, traced = self._reports()
-        out = Outputs(
+        return Outputs(
             self._outlet.published(),
             self._outlet.settled(self.filter.rows, horizon),
             said,
             self._outlet.events(self.filter, horizon),
             adaptation=traced,
         )
-        if head is None or abs(head - self._forgot_ns) > FORGET_NS:
-            self._forget(head)
-        return out
 
     def _forget(self, head: int | None) -> None:
         """Let go of what nothing will need again."""
