@@ -25,7 +25,7 @@ from companion.config import Config
 from companion.estimation import update as up
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
-from companion.estimation.error_state import ErrorStateFilter
+from companion.estimation.choice import new_estimator
 from companion.estimation.recording import Recording, Tape
 from companion.estimation.stretch import Stretch
 from companion.intake.aids import NEVER, Admitted, AidIntake
@@ -62,6 +62,8 @@ FORGET_NS = NS // 4
 _KIND_OF_CHANNEL = np.full(max(Channel) + 1, -1)
 """Kind of aid (``walk.KIND_``) behind each channel; −1 for constraints."""
 _KIND_OF_CHANNEL[:7] = 0, 0, 0, 0, w.KIND_BARO, w.KIND_MAG, w.KIND_GNSS
+_KIND_OF_CHANNEL[Channel.ATTITUDE] = w.KIND_ATTITUDE
+_KIND_OF_CHANNEL[[Channel.GYRO, Channel.ACCELEROMETER]] = w.KIND_IMU
 _KIND_OF_CHANNEL[[Channel.SOURCE_H, Channel.SOURCE_V]] = w.KIND_GNSS
 
 
@@ -75,7 +77,7 @@ class Engine:
         """
         self.config = config
         self.counters = Counters()
-        self.filter = ErrorStateFilter(config, record)
+        self.filter = new_estimator(config, record)
         self._record = record
         self._tapes: list[Tape] = []
         self._stretches: list[Stretch] = []
@@ -97,7 +99,7 @@ class Engine:
         """
         if len(samples) == 0:
             return NOTHING
-        if isinstance(samples, ImuSamples):
+        if isinstance(samples, ImuSamples) and not self._aiding.further(samples):
             return self._step_imu(samples)
         place = self._aiding.place
         self.counters.aids += len(samples)
@@ -221,7 +223,7 @@ class Engine:
         resets = self.filter.resets
         self._tapes += self.filter.tapes()
         self._stretches += self.filter.stretches
-        self.filter = ErrorStateFilter(self.config, self._record)
+        self.filter = new_estimator(self.config, self._record)
         self.filter.phases[0].resets = resets + 1
         self._imu.clear()
         self._aids.clear()

@@ -13,8 +13,8 @@ from companion.estimation import update as up
 from companion.estimation import walk as w
 from companion.estimation.adaptation import layout as al
 from companion.estimation.buffers import SampleBuffer
+from companion.estimation.choice import Estimator
 from companion.estimation.digest import RowDigest
-from companion.estimation.error_state import ErrorStateFilter
 from companion.types import (
     F64,
     I64,
@@ -59,7 +59,7 @@ class Outlet:
         """The clock began anew: its times may be earlier than those given out before."""
         self._published_t = self._settled_t = _NEVER
 
-    def publish(self, estimator: ErrorStateFilter) -> None:
+    def publish(self, estimator: Estimator) -> None:
         """Set aside the epochs reached for the first time: going back may rewrite them."""
         rows = estimator.rows
         a, b = rows.after(self._published_t), rows.end
@@ -100,7 +100,7 @@ class Outlet:
         rows.start = b
         return settled
 
-    def events(self, estimator: ErrorStateFilter, horizon: int = _NEVER) -> tuple[Event, ...]:
+    def events(self, estimator: Estimator, horizon: int = _NEVER) -> tuple[Event, ...]:
         """Events not said before; those up to ``horizon`` can be forgotten."""
         self._note(estimator.events)
         fresh, self._unsaid = tuple(self._unsaid), []

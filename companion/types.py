@@ -140,6 +140,14 @@ class MagSamples(Samples):
 
 
 @dataclass(frozen=True, slots=True)
+class AttitudeSamples(Samples):
+    """Attitude by another estimator, for the one that asks for it: ``direct.attitude``."""
+
+    rpy: F64
+    """(N, 3) roll, pitch, yaw [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
 class ReferenceSamples(Samples):
     """A solution by somebody else: simulator truth, RTK, or the autopilot's own estimate.
 
@@ -196,8 +204,9 @@ class BroadcastSamples(Samples):
     """(N, 28) the columns of :mod:`companion.gnss.orbit`; of an ionosphere α0…α3, β0…β3 first."""
 
 
-AidingSamples = GnssSamples | BaroSamples | MagSamples
-AnySamples = ImuSamples | GnssSamples | BaroSamples | MagSamples
+AidingSamples = GnssSamples | BaroSamples | MagSamples | AttitudeSamples | ImuSamples
+"""What may come late; inertial samples only of units beside the first (``further_imu``)."""
+AnySamples = ImuSamples | GnssSamples | BaroSamples | MagSamples | AttitudeSamples
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +214,7 @@ class StreamInfo:
     """What a reader found out about one stream."""
 
     source: str
-    kind: Literal["imu", "gnss", "baro", "mag", "truth", "autopilot"]
+    kind: Literal["imu", "gnss", "baro", "mag", "attitude", "truth", "autopilot"]
     count: int
     rate_hz: float
     """Median rate; 0 with fewer than two samples."""
@@ -231,6 +240,8 @@ class VehicleRecording:
     streams: tuple[StreamInfo, ...] = ()
     smoothing_gaps: tuple[tuple[int, int], ...] = ()
     """Spans [ns] in which the smoother of a live run gave way to its filter."""
+    attitude: tuple[AttitudeSamples, ...] = ()
+    """Of other estimators, the autopilot's; used only where the configuration asks for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,6 +381,11 @@ class Channel(IntEnum):
     ZERO_VELOCITY = 7
     ZERO_RATE = 8
     NON_HOLONOMIC = 9
+    ATTITUDE = 10
+    """Of another estimator; only the direct filter takes it."""
+    GYRO = 11
+    """Of the direct filter, to which inertial samples are measurements."""
+    ACCELEROMETER = 12
     SOURCE_H = 16
     """Not a measurement: how far GNSS position is off what its velocities make of it, once a second
     (estimation/source_faults.py)."""

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config import Config, load, parse, to_toml
+from companion.config import Config, Direct, load, parse, to_toml
 from companion.types import Recording
+from replay.reader import has_inputs
+from replay.streams import SLOW_HZ, rate_hz
 
 _DEFAULT_LATENCY_MS = {
     # ArduPilot streams samples behind its 20 Hz filter, and a fix when it has arrived.
@@ -41,6 +43,18 @@ _WARMING_DPS_RTS = 0.005
 bias falls behind and the heading with it, ten times further than the filter says."""
 
 
+_SLOW_OUTPUT_HZ = 10.0
+_SLOW = Direct(gyro_sample_sd_dps=3.0, accel_sample_sd_mps2=0.7)
+_SLOW_NOISE = (0.1, 0.03)
+"""Of an IMU that is logged at a few hertz: what single samples carry of a vibrating airframe."""
+
+
+def _is_slow(recording: Recording) -> bool:
+    """Whether no vehicle that could be navigated has an IMU that a strapdown filter can use."""
+    rates = [rate_hz(v.imu[0].t_ns) for v in recording.vehicles if has_inputs(v)]
+    return bool(rates) and max(rates) < SLOW_HZ
+
+
 def _imu_rate_hz(recording: Recording) -> float:
     """Rate of the inertial stream that the engine would use; 0 without one."""
     for vehicle in recording.vehicles:
@@ -59,6 +73,29 @@ class ChosenConfig:
     """For people: a path, ``from the log``, or what the defaults assume."""
     toml: str
     """Every key with its value, so that a later change of a default cannot change a replay."""
+
+
+def _slow(config: Config, assumed: bool) -> tuple[Config, str]:
+    """The same configuration with the direct filter, and a word on it.
+
+    ``assumed``: nobody configured the sensors.
+    """
+    engine = msgspec.structs.replace(
+        config.engine,
+        estimator="direct",
+        output_rate_hz=min(config.engine.output_rate_hz, _SLOW_OUTPUT_HZ),
+    )
+    # Its smoother is for the error-state filter.
+    smoothing = msgspec.structs.replace(config.smoothing, enabled=False)
+    direct, imu = config.direct, config.imu
+    if assumed:
+        gyro, accel = _SLOW_NOISE
+        direct = _SLOW
+        imu = msgspec.structs.replace(imu, gyro_noise_dps_rthz=gyro, accel_noise_mps2_rthz=accel)
+    return (
+        msgspec.structs.replace(config, engine=engine, direct=direct, imu=imu, smoothing=smoothing),
+        f"; direct filter, as the IMU is slower than {SLOW_HZ:g} Hz",
+    )
 
 
 def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfig:
@@ -96,4 +133,7 @@ def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfi
         )
     else:
         config, origin = Config(), "defaults: consumer MEMS, no latency (--config says it better)"
+    if config.engine.estimator == "auto" and _is_slow(recording):
+        config, said = _slow(config, path is None and recording.config_toml is None)
+        origin += said
     return ChosenConfig(config, origin, to_toml(config))

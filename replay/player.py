@@ -53,7 +53,15 @@ def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples
         raise LogFormatError(f"no GNSS stream '{config.gnss.source}' in the log; it has {names}")
     baro = vehicle.baro[:1] if config.baro.use else ()
     mag = (Thinner(config.mag.max_rate_hz)(m) for m in vehicle.mag[:1] if config.mag.use)
-    return [*gnss[:1], *baro, *mag]
+    direct = config.engine.estimator == "direct"
+    attitude = vehicle.attitude[:1] if direct and config.direct.attitude else ()
+    further = [
+        stream
+        for unit in config.further_imu
+        for stream in vehicle.imu
+        if direct and stream.source == unit.source
+    ]
+    return [*gnss[:1], *baro, *mag, *attitude, *further]
 
 
 def arrivals(
@@ -72,6 +80,8 @@ def arrivals(
         "GnssSamples": round(config.gnss.latency_ms * 1e6),
         "BaroSamples": round(config.baro.latency_ms * 1e6),
         "MagSamples": round(config.mag.latency_ms * 1e6),
+        "AttitudeSamples": 0,
+        "ImuSamples": imu_latency,
     }
     peak, restarts = _reached(imu.t_ns)
     peak = peak - imu_latency

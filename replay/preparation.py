@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from companion.config import Config
 from companion.types import NS, CompanionError, LogFormatError, Recording, VehicleRecording
-from replay.reader import require_imu_rate
+from replay.reader import require_inputs
+from replay.streams import SLOW_HZ
 from replay.window import Window
 
 
@@ -44,22 +46,23 @@ def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> Vehic
 
 
 def navigable(
-    recording: Recording, name: str | None = None
+    recording: Recording, config: Config, name: str | None = None
 ) -> tuple[list[VehicleRecording], list[Refused]]:
-    """The vehicles that the strapdown filter can be run on, and the others with the reason.
+    """The vehicles that a filter can be run on, and the others with the reason.
 
     Raises the one reason where nothing is left, and :class:`LogFormatError` for an unknown name.
     """
     known = [v.name for v in recording.vehicles]
     if name is not None and name not in known:
         raise LogFormatError(f"{recording.path}: no vehicle '{name}'; it has {', '.join(known)}")
+    minimum_hz = 0.0 if config.engine.estimator == "direct" else SLOW_HZ
     fit: list[VehicleRecording] = []
     refused: list[Refused] = []
     errors: list[CompanionError] = []
     for vehicle in recording.vehicles:
         if name in (None, vehicle.name):
             try:
-                require_imu_rate(vehicle)
+                require_inputs(vehicle, minimum_hz)
                 fit.append(vehicle)
             except CompanionError as error:
                 refused.append(Refused(vehicle.name, str(error)))

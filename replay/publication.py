@@ -52,8 +52,10 @@ class Publication:
         if not len(samples):
             return
         now_ns = int(samples.t_rx_ns[-1])
-        good = usable(samples, self._min_fix_type)
-        self._monitor.arrived(KINDS[type(samples)], samples.source, len(samples), now_ns, good)
+        kind = KINDS.get(type(samples))
+        if kind is not None:
+            good = usable(samples, self._min_fix_type)
+            self._monitor.arrived(kind, samples.source, len(samples), now_ns, good)
         if not 0 <= now_ns - self._tick_ns < TICK_NS:
             self._tick_ns = now_ns
             for event in self._monitor.tick(now_ns, _uses_all):

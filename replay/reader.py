@@ -14,7 +14,7 @@ from companion.types import (
     Recording,
     VehicleRecording,
 )
-from replay.streams import rate_hz
+from replay.streams import SLOW_HZ, rate_hz
 
 READABLE = (
     "a .tlog, DataFlash .BIN, PX4 .ulg, our own .mcap, a candump .log or .log.gz, "
@@ -178,8 +178,13 @@ def _only(recording: Recording, vehicle: str | None) -> Recording:
     return replace(recording, vehicles=chosen)
 
 
-def require_imu_rate(vehicle: VehicleRecording, minimum_hz: float = 20.0) -> None:
-    """Refuse what a strapdown filter cannot be run on.
+def has_inputs(vehicle: VehicleRecording) -> bool:
+    """Whether there is what any filter needs: an IMU and a fix."""
+    return bool(vehicle.imu) and any((gnss.fix_type >= 2).any() for gnss in vehicle.gnss)
+
+
+def require_inputs(vehicle: VehicleRecording, minimum_hz: float = SLOW_HZ) -> None:
+    """Refuse what a filter cannot be run on; ``minimum_hz`` is that of a strapdown one.
 
     Raises :class:`LogFormatError` without an IMU or without any GNSS fix, and
     :class:`ImuTooSlowError`, naming stream and rate, if the best IMU is below ``minimum_hz``.
@@ -191,7 +196,7 @@ def require_imu_rate(vehicle: VehicleRecording, minimum_hz: float = 20.0) -> Non
     if rate < minimum_hz:
         raise ImuTooSlowError(
             f"{vehicle.name}: the best IMU stream, {best.source}, comes at {rate:.1f} Hz; "
-            f"a strapdown filter needs at least {minimum_hz:g} Hz"
+            f'a strapdown filter needs at least {minimum_hz:g} Hz (engine.estimator = "direct")'
         )
-    if not any((gnss.fix_type >= 2).any() for gnss in vehicle.gnss):
+    if not has_inputs(vehicle):
         raise LogFormatError(f"{vehicle.name}: no GNSS fix in the log")

@@ -38,6 +38,7 @@ _BATCHES: dict[str, tuple[str, Batch]] = {
     "input/gnss": ("gnss", columns.GNSS),
     "input/baro": ("baro", columns.BARO),
     "input/mag": ("mag", columns.MAG),
+    "input/attitude": ("attitude", columns.ATTITUDE),
     "reference/truth": ("truth", columns.REFERENCE),
     "reference/autopilot": ("autopilot", columns.REFERENCE),
 }
@@ -206,6 +207,7 @@ def _vehicle(run: _Run, name: str) -> VehicleRecording:
             for s in info.streams
         )
         or tuple(stream_info(streams[key], _kind(key[0])) for key in keys),
+        attitude=of("attitude"),
     )
 
 
@@ -269,7 +271,8 @@ def _only(found: tuple[ReferenceSamples, ...]) -> ReferenceSamples | None:
 
 
 def _kind(kind: str) -> Any:
-    return kind if kind in ("imu", "gnss", "baro", "mag", "truth", "autopilot") else "autopilot"
+    known = ("imu", "gnss", "baro", "mag", "attitude", "truth", "autopilot")
+    return kind if kind in known else "autopilot"
 
 
 def read_solution(path: Path, vehicle: str | None = None) -> RunResult:

@@ -13,6 +13,7 @@ from companion.types import (
     F64,
     I64,
     NS,
+    AttitudeSamples,
     BaroSamples,
     GnssSamples,
     ImuSamples,
@@ -24,7 +25,7 @@ from companion.types import (
 )
 
 S = TypeVar("S", bound=Samples)
-Kind = Literal["imu", "gnss", "baro", "mag", "truth", "autopilot"]
+Kind = Literal["imu", "gnss", "baro", "mag", "attitude", "truth", "autopilot"]
 
 SLOW_HZ = 20.0
 """Below it an IMU loses against any that is faster."""
@@ -159,6 +160,7 @@ def finish_vehicle(
     autopilot: ReferenceSamples | None = None,
     *,
     datum: Literal["hae", "msl"] = "hae",
+    attitude: Sequence[AttitudeSamples] = (),
 ) -> tuple[VehicleRecording, list[str]]:
     """A vehicle's recording with cleaned, ranked and described streams, and what was odd.
 
@@ -170,6 +172,7 @@ def finish_vehicle(
     fixes = _cleaned(gnss, ("lat", "lon"), notes, ordered=False)
     pressures = _cleaned(baro, ("pressure",), notes, ordered=True)
     fields = _cleaned(mag, ("field_b",), notes, ordered=True)
+    attitudes = _cleaned(attitude, ("rpy",), notes, ordered=True)
     references = []
     for reference in (truth, autopilot):
         kept = increasing(reference)[0] if reference is not None else None
@@ -181,11 +184,21 @@ def finish_vehicle(
         ("gnss", fixes),
         ("baro", pressures),
         ("mag", fields),
+        ("attitude", attitudes),
         ("truth", [r for r in references[:1] if r is not None]),
         ("autopilot", [r for r in references[1:] if r is not None]),
     ]
     infos = tuple(stream_info(s, kind) for kind, group in kinds for s in group)
     vehicle = VehicleRecording(
-        name, imus, fixes, pressures, fields, references[0], references[1], datum, infos
+        name,
+        imus,
+        fixes,
+        pressures,
+        fields,
+        references[0],
+        references[1],
+        datum,
+        infos,
+        attitude=attitudes,
     )
     return vehicle, notes

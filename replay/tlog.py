@@ -17,6 +17,7 @@ from companion.types import (
     F64,
     I64,
     NS,
+    AttitudeSamples,
     BaroSamples,
     GnssSamples,
     ImuSamples,
@@ -141,6 +142,16 @@ def _attitude(stream: _Stream, t_ns: I64) -> F64:
     return np.stack(columns, axis=1)
 
 
+def _attitudes(stream: _Stream) -> list[AttitudeSamples]:
+    """The autopilot's attitude at its own rate."""
+    table, rows = stream.message("ATTITUDE")
+    if not table.shape[0]:
+        return []
+    at = stream.stamps(rows, messages.boot_us(table))
+    rpy = triple(table, ("roll", "pitch", "yaw"))
+    return [AttitudeSamples("ATTITUDE", at.t_ns, at.rx_ns, at.seq, rpy)]
+
+
 def _autopilot(stream: _Stream) -> ReferenceSamples | None:
     """The autopilot's own solution: GLOBAL_POSITION_INT (AMSL) with ATTITUDE at its times."""
     table, rows = stream.message("GLOBAL_POSITION_INT")
@@ -248,7 +259,15 @@ def _vehicle(stream: _Stream, name: str) -> tuple[VehicleRecording, list[str]]:
         if geoid:
             notes.append(f"heights above the ellipsoid: AMSL {geoid:+.2f} m, from the GNSS")
     vehicle, more = finish_vehicle(
-        name, imus, fixes, _baro(stream), _mags(stream), truth, autopilot, datum=datum
+        name,
+        imus,
+        fixes,
+        _baro(stream),
+        _mags(stream),
+        truth,
+        autopilot,
+        datum=datum,
+        attitude=_attitudes(stream),
     )
     return vehicle, notes + more
 

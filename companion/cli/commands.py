@@ -47,7 +47,7 @@ def replay_logs(
     from replay.preparation import navigable
 
     recording, chosen = read(console, logs, config_path, vehicle_name)
-    fit, refused = navigable(recording, vehicle_name)
+    fit, refused = navigable(recording, chosen.config, vehicle_name)
     path = out_path(out, logs)
     with present.notice_if_slow(console, LOADING):
         from replay import session

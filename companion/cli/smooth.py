@@ -105,7 +105,7 @@ def smooth_run(
     chosen = replace(chosen, config=config, toml=to_toml(config))
     # What the run itself was refused stays withheld, and is judged as an outage.
     outages = outages or read_windows(recording.metadata.get("outages", ""))
-    fit, _ = navigable(recording, vehicle_name)
+    fit, _ = navigable(recording, chosen.config, vehicle_name)
     path = out_path(out, [run], ending="smoothed")
     with present.notice_if_slow(console, LOADING):
         from replay import session

@@ -76,7 +76,7 @@ def _solve_forward(
     from replay.preparation import navigable
 
     recording, chosen = read(console, [run], config_path, vehicle_name)
-    fit, _ = navigable(recording, vehicle_name)
+    fit, _ = navigable(recording, chosen.config, vehicle_name)
     with present.notice_if_slow(console, LOADING):
         from replay import session
     if len(fit) > 1:

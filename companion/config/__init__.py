@@ -15,11 +15,14 @@ from typing import Any, get_args
 import msgspec
 
 from companion.config.adaptation import Adaptation, check_adaptation
+from companion.config.direct_checks import check_direct
 from companion.config.estimator import (
     Alignment,
     Baro,
     Constraints,
+    Direct,
     EngineConfig,
+    FurtherImu,
     Gnss,
     Imu,
     LastHeading,
@@ -57,7 +60,9 @@ __all__ = [
     "Config",
     "Constraints",
     "DbcMapping",
+    "Direct",
     "EngineConfig",
+    "FurtherImu",
     "Gnss",
     "Ground",
     "Imu",
@@ -87,6 +92,7 @@ MAX_WINDOW = 100
 class Config(Section):
     vehicle: Vehicle = Vehicle()
     imu: Imu = Imu()
+    further_imu: tuple[FurtherImu, ...] = ()
     gnss: Gnss = Gnss()
     raw_gnss: RawGnss = RawGnss()
     baro: Baro = Baro()
@@ -97,6 +103,7 @@ class Config(Section):
     adaptation: Adaptation = Adaptation()
     smoothing: Smoothing = Smoothing()
     source_faults: SourceFaults = SourceFaults()
+    direct: Direct = Direct()
     can: tuple[CanBus, ...] = ()
     mavlink: Mavlink = Mavlink()
     zenoh: Zenoh = Zenoh()
@@ -222,6 +229,9 @@ def _check(config: Config) -> None:
     if last is not None:
         within("alignment.last_heading.heading_deg", last.heading_deg, -360.0, 360.0, "degrees")
         positive("alignment.last_heading.sd_deg", last.sd_deg, "degrees")
+    check_direct(config.direct, config.further_imu)
+    if config.engine.estimator == "direct" and config.smoothing.enabled:
+        raise ConfigError("key 'smoothing.enabled': only with engine.estimator = 'error-state'")
     check_live(config)
 
 

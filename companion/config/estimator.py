@@ -55,6 +55,15 @@ class Imu(Section):
     accel_scale_sd_ppm: float = 5000.0
 
 
+class FurtherImu(Section):
+    """One more inertial unit beside the first, with the same noise figures."""
+
+    source: str
+    """Stream name, such as ``imu2``."""
+    lever_arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From the first unit to this one, body FRD [m]."""
+
+
 class Gnss(Section):
     source: str = "auto"
     latency_ms: float = 0.0
@@ -155,8 +164,46 @@ class Alignment(Section):
     what else there is."""
 
 
+class Direct(Section):
+    """The direct kinematic filter (``engine.estimator = "direct"``): how the vehicle moves."""
+
+    jerk_mps3_rthz: tuple[float, float, float] = (8.0, 8.0, 8.0)
+    """White jerk, density on body x, y, z [m/s³/√Hz]: a steady spread of acceleration σ that lasts
+    τ is σ √(2/τ)."""
+    acceleration_tau_s: float = 1.5
+    """Acceleration fades to zero with this time where nothing is measured [s]; 0: it stays."""
+    angular_acceleration_dps2_rthz: tuple[float, float, float] = (80.0, 80.0, 80.0)
+    """The same for the turn rate [deg/s²/√Hz]."""
+    rate_tau_s: float = 0.5
+    gyro_sample_sd_dps: float = 0.0
+    """Vibration that a single sample carries beside the density of ``imu``, 1σ [deg/s]."""
+    accel_sample_sd_mps2: float = 0.0
+    max_gap_s: float = 10.0
+    """A longer silence of the IMU is a declared reset; through a shorter one the model carries."""
+    attitude: bool = False
+    """Use the attitude of another estimator in the log (the autopilot's ATTITUDE)."""
+    attitude_sd_deg: float = 1.0
+    """Roll and pitch of it, what changes from message to message, 1σ."""
+    attitude_yaw_sd_deg: float = 2.0
+    attitude_slow_sd_deg: float = 1.0
+    """Roll and pitch of it, what lasts for ``attitude_tau_s``, 1σ."""
+    attitude_slow_yaw_sd_deg: float = 5.0
+    attitude_tau_s: float = 60.0
+    transitions: bool = False
+    """Mechanisms for smooth transitions (Yu et al. 2018): on a step of specific force the
+    acceleration is taken from the IMU at once. For vehicles that point where they go, with little
+    vibration."""
+    transition_sigmas: float = 5.0
+    """Step that counts, in deviations of the difference of two samples."""
+    transition_sd_mps2: float = 3.0
+    """How far a step may go, 1σ: added to the acceleration's own uncertainty on its axis."""
+    circular_sd_mps2: float = 0.3
+    """Of lateral acceleration = turn rate times speed, while turning, 1σ."""
+
+
 class EngineConfig(Section):
-    estimator: Literal["error-state"] = "error-state"
+    estimator: Literal["auto", "error-state", "direct"] = "auto"
+    """``auto``: error-state; in replay direct where the best IMU is slower than 20 Hz."""
     correction: Literal["feedback", "feedforward"] = "feedback"
     covariance_rate_hz: float = 50.0
     """Covariance propagation; the state itself runs at the IMU's rate."""

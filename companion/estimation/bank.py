@@ -19,20 +19,20 @@ OVERLAP = 2.0
 """Neighbouring innovations share errors: half of their evidence on the heading is repetition."""
 
 
-def mixture(setup: Setup, phase: Phase) -> tuple[int, float]:
-    """Likeliest hypothesis and the heading's standard deviation over all of them [rad]."""
-    ll = np.array([f.s[lo.LOG_LIKELIHOOD] for f in phase.filters])
-    likeliest = phase.filters[int(np.argmax(ll))].s
+def mixture(log_likelihood: F64, misfit: F64, yaw: F64, var: F64) -> tuple[int, float]:
+    """Likeliest hypothesis and the heading's standard deviation over all of them [rad].
+
+    All (N,), one entry a hypothesis: log-likelihood, NIS per component of what they compete on,
+    heading [rad] and its variance.
+    """
     # Evidence counts less where even the best hypothesis fits worse than its covariance says.
-    misfit = max(1.0, likeliest[lo.BANK_NIS] / max(likeliest[lo.BANK_DOF], 1.0))
-    weight = np.exp((ll - ll.max()) / (OVERLAP * misfit))
+    worse = max(1.0, float(misfit[int(np.argmax(log_likelihood))]))
+    weight = np.exp((log_likelihood - log_likelihood.max()) / (OVERLAP * worse))
     weight /= weight.sum()
-    yaw = np.array([rpy_from_quat(f.s[:4])[2] for f in phase.filters])
-    var = np.array([setup.covariance(f.s)[8, 8] for f in phase.filters])
     best = int(np.argmax(weight))
     off = np.remainder(yaw - yaw[best] + math.pi, 2 * math.pi) - math.pi
     mean = float(weight @ off)
-    spread = float(weight @ (np.minimum(misfit * var, math.pi**2) + (off - mean) ** 2))
+    spread = float(weight @ (np.minimum(worse * var, math.pi**2) + (off - mean) ** 2))
     return best, math.sqrt(spread)
 
 
@@ -44,7 +44,13 @@ def widen_heading(phase: Phase, rows: F64) -> None:
 
 def find_heading(setup: Setup, phase: Phase, t: int) -> tuple[Phase, Event] | None:
     """Judge the bank at ``t``: the phase of its likeliest filter once the heading is known."""
-    best, sd = mixture(setup, phase)
+    states = [f.s for f in phase.filters]
+    best, sd = mixture(
+        np.array([s[lo.LOG_LIKELIHOOD] for s in states]),
+        np.array([s[lo.BANK_NIS] / max(s[lo.BANK_DOF], 1.0) for s in states]),
+        np.array([rpy_from_quat(s[:4])[2] for s in states]),
+        np.array([setup.covariance(s)[8, 8] for s in states]),
+    )
     phase.checks = [*phase.checks[-8:], Check(t, best, sd)]
     if sd > setup.config.alignment.heading_found_sd_deg * DEG:
         return None

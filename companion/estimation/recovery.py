@@ -34,7 +34,7 @@ Decision = tuple[Phase | None, list[Event]]
 def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
     """What became of the source since the last decision, and whether something is taken anew."""
     f = phase.filters[0]
-    if f.s[lo.VELOCITY_FIT] > w.LOST_FIT and (fixes := _agreeing_fixes(aids, t)):
+    if f.s[lo.VELOCITY_FIT] > w.LOST_FIT and (fixes := agreeing_fixes(aids, t)):
         # Position alone can be off for long where a receiver erred; velocity that never fits means
         # that the attitude is wrong: on the move its heading, which nothing else holds; without way
         # over ground its level, by an inertial sensor that began to err (shaken, struck).
@@ -63,7 +63,7 @@ def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
                 return _at_base(setup, f, t, part, way), events
     for part in range(2):
         wish = int(_ints(f.k, part)[sf.RELOCK])
-        if wish == sf.ONE_PLACE or (wish == sf.ASK_VELOCITY and _agreeing_fixes(aids, t)):
+        if wish == sf.ONE_PLACE or (wish == sf.ASK_VELOCITY and agreeing_fixes(aids, t)):
             events.append(relocked(t, part, _ints(f.k, part)))
             return _at_source(setup, f, t, part, aids), events
     return None, events
@@ -176,7 +176,7 @@ def _tie_barometer(setup: Setup, s: F64, down: float) -> None:
     P[at, at] = P[2, 2] + setup.config.baro.sd_m**2
 
 
-def _agreeing_fixes(aids: SampleBuffer, t: int) -> list[int]:
+def agreeing_fixes(aids: SampleBuffer, t: int) -> list[int]:
     """The last few fixes where each foresees the next by its velocity; else none."""
     fixes = [
         m

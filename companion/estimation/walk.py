@@ -98,6 +98,7 @@ LOST_SPEED = 1.0
 
 # --- kinds of aid and columns of the aid table
 KIND_GNSS, KIND_BARO, KIND_MAG = 0, 1, 2
+KIND_ATTITUDE, KIND_IMU = 3, 4  # only the direct filter takes these
 A_VALUE, A_VELOCITY, A_VAR, A_VAR_VELOCITY = 0, 3, 6, 9
 A_AZIMUTH = 3
 A_SATELLITES = 12  # NaN: unknown

@@ -20,9 +20,11 @@ from companion.types import (
     NS,
     AidingReports,
     AidingSamples,
+    AttitudeSamples,
     BaroSamples,
     Channel,
     GnssSamples,
+    ImuSamples,
     MagSamples,
     Verdict,
 )
@@ -36,6 +38,8 @@ _CHANNEL = {
     w.KIND_GNSS: Channel.GNSS_POSITION_H,
     w.KIND_BARO: Channel.BARO,
     w.KIND_MAG: Channel.MAG,
+    w.KIND_ATTITUDE: Channel.ATTITUDE,
+    w.KIND_IMU: Channel.GYRO,
 }
 """Channel under which a refusal of a whole sample is reported, by kind of aid."""
 
@@ -86,6 +90,11 @@ class AidIntake:
         self.place = Place(config)
         self._counters = counters
         self._mounting = Mounting(config)
+        direct = config.engine.estimator == "direct"
+        self._attitude = direct and config.direct.attitude
+        self._further = {
+            unit.source: index for index, unit in enumerate(config.further_imu if direct else ())
+        }
         self._ring_ns = round(config.engine.delay_ring_s * NS)
         self._sources: dict[str, dict[str, int]] = {}
         self._refusals: list[AidingReports] = []
@@ -98,6 +107,10 @@ class AidIntake:
                 gnss.sd_velocity_down_mps,
             ]
         )
+
+    def further(self, samples: ImuSamples) -> bool:
+        """Whether this unit is a measurement beside the first one, whose samples set the pace."""
+        return samples.source in self._further
 
     def admit(self, samples: AidingSamples, heads: I64, started: bool) -> Admitted | None:
         """Samples in the aid table's terms, without those refused before the filter saw them.
@@ -113,6 +126,14 @@ class AidIntake:
                 return None
             kind, latency_ms = w.KIND_BARO, self.config.baro.latency_ms
             rows, verdict = self._baro(samples)
+        elif isinstance(samples, ImuSamples):
+            kind, latency_ms = w.KIND_IMU, self.config.imu.latency_ms
+            rows, verdict = self._imu(samples)
+        elif isinstance(samples, AttitudeSamples):
+            if not self._attitude:
+                return None
+            kind, latency_ms = w.KIND_ATTITUDE, 0.0
+            rows, verdict = self._rpy(samples)
         else:
             if not self.config.mag.use:
                 return None
@@ -120,6 +141,8 @@ class AidIntake:
             rows, verdict = self._mag(samples)
         index = self._sources.setdefault(type(samples).__name__, {})
         source = index.setdefault(samples.source, len(index))
+        if kind == w.KIND_IMU:
+            source = self._further[samples.source]
         t = samples.t_ns - round(latency_ms * 1e6)
         behind = (heads != NEVER) & (t < heads - self._ring_ns)
         verdict[(verdict == 0) & behind] = Verdict.REFUSED_LATE
@@ -201,6 +224,21 @@ class AidIntake:
         rows[:, w.A_AZIMUTH] = self.place.declination
         # Written so that NaN counts as broken.
         verdict[~(np.abs(rows[:, :3]).max(axis=1) > 0)] = Verdict.REFUSED_INVALID
+        return rows, verdict
+
+    def _imu(self, samples: ImuSamples) -> tuple[F64, I64]:
+        rows, verdict = _blank(len(samples))
+        rows[:, :3] = self._mounting.turn(samples.gyro_b)
+        rows[:, 3:6] = self._mounting.turn(samples.accel_b)
+        rows[:, 6] = np.where(samples.interval_s > 0, samples.interval_s, 0.0)
+        verdict[~np.isfinite(rows[:, :6]).all(axis=1)] = Verdict.REFUSED_INVALID
+        return rows, verdict
+
+    def _rpy(self, samples: AttitudeSamples) -> tuple[F64, I64]:
+        rows, verdict = _blank(len(samples))
+        rows[:, :3] = samples.rpy
+        # Written so that NaN counts as broken.
+        verdict[~(np.abs(samples.rpy) < 2.0 * np.pi).all(axis=1)] = Verdict.REFUSED_INVALID
         return rows, verdict
 
     def _refuse(self, kind: int, source: int, t: I64, verdict: I64) -> None:

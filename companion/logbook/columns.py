@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from companion.logbook.rows import varint
 from companion.types import (
+    AttitudeSamples,
     BaroSamples,
     GnssSamples,
     ImuSamples,
@@ -25,7 +26,15 @@ from companion.types import (
     Solution,
 )
 
-AnyColumns = ImuSamples | GnssSamples | BaroSamples | MagSamples | ReferenceSamples | Solution
+AnyColumns = (
+    ImuSamples
+    | GnssSamples
+    | BaroSamples
+    | MagSamples
+    | AttitudeSamples
+    | ReferenceSamples
+    | Solution
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +86,7 @@ GNSS = Batch(
 )
 BARO = Batch("companion.BaroBatch", BaroSamples, (*_COMMON, Column("pressure", 5, _F)))
 MAG = Batch("companion.MagBatch", MagSamples, (*_COMMON, Column("field_b", 5, _F, (3,))))
+ATTITUDE = Batch("companion.AttitudeBatch", AttitudeSamples, (*_COMMON, Column("rpy", 5, _F, (3,))))
 REFERENCE = Batch(
     "companion.ReferenceBatch",
     ReferenceSamples,

@@ -26,6 +26,7 @@ MESSAGES: dict[str, Any] = {
         samples_pb2.GnssBatch,
         samples_pb2.BaroBatch,
         samples_pb2.MagBatch,
+        samples_pb2.AttitudeBatch,
         samples_pb2.ReferenceBatch,
         samples_pb2.RawBatch,
         navigation_pb2.NavState,

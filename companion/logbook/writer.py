@@ -33,6 +33,7 @@ from companion.types import (
     AdaptationTrace,
     AidingReports,
     AnySamples,
+    AttitudeSamples,
     BaroSamples,
     Event,
     GnssSamples,
@@ -58,6 +59,7 @@ _INPUTS: dict[type, tuple[str, Batch]] = {
     GnssSamples: ("gnss", columns.GNSS),
     BaroSamples: ("baro", columns.BARO),
     MagSamples: ("mag", columns.MAG),
+    AttitudeSamples: ("attitude", columns.ATTITUDE),
 }
 _LEVEL = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 
@@ -129,7 +131,7 @@ class LogWriter:
     def describe(self, vehicle: VehicleRecording) -> None:
         """Write what is known of a vehicle: datum, streams and their order of preference."""
         info = run_pb2.VehicleInfo(name=vehicle.name, height_datum=vehicle.height_datum)
-        for kind in ("imu", "gnss", "baro", "mag"):
+        for kind in ("imu", "gnss", "baro", "mag", "attitude"):
             for samples in getattr(vehicle, kind):
                 info.order.add(kind=kind, source=samples.source)
         for kind in ("truth", "autopilot"):
@@ -148,7 +150,7 @@ class LogWriter:
             )
         starts = [
             int(s.t_rx_ns[0])
-            for kind in ("imu", "gnss", "baro", "mag")
+            for kind in ("imu", "gnss", "baro", "mag", "attitude")
             for s in getattr(vehicle, kind)
             if len(s)
         ]

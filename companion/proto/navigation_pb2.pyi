@@ -110,6 +110,9 @@ class AidingReport(_message.Message):
         ZERO_VELOCITY: _ClassVar[AidingReport.Channel]
         ZERO_RATE: _ClassVar[AidingReport.Channel]
         NON_HOLONOMIC: _ClassVar[AidingReport.Channel]
+        ATTITUDE: _ClassVar[AidingReport.Channel]
+        GYRO: _ClassVar[AidingReport.Channel]
+        ACCELEROMETER: _ClassVar[AidingReport.Channel]
         SOURCE_H: _ClassVar[AidingReport.Channel]
         SOURCE_V: _ClassVar[AidingReport.Channel]
     GNSS_POSITION_H: AidingReport.Channel
@@ -122,6 +125,9 @@ class AidingReport(_message.Message):
     ZERO_VELOCITY: AidingReport.Channel
     ZERO_RATE: AidingReport.Channel
     NON_HOLONOMIC: AidingReport.Channel
+    ATTITUDE: AidingReport.Channel
+    GYRO: AidingReport.Channel
+    ACCELEROMETER: AidingReport.Channel
     SOURCE_H: AidingReport.Channel
     SOURCE_V: AidingReport.Channel
     class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):

@@ -79,6 +79,20 @@ class MagBatch(_message.Message):
     field_b: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., field_b: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class AttitudeBatch(_message.Message):
+    __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "rpy")
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    T_RX_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    RPY_FIELD_NUMBER: _ClassVar[int]
+    source: str
+    t_ns: _containers.RepeatedScalarFieldContainer[int]
+    t_rx_ns: _containers.RepeatedScalarFieldContainer[int]
+    seq: _containers.RepeatedScalarFieldContainer[int]
+    rpy: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., rpy: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class ReferenceBatch(_message.Message):
     __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "lat", "lon", "height", "vel_n", "rpy")
     SOURCE_FIELD_NUMBER: _ClassVar[int]

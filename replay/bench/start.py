@@ -19,8 +19,8 @@ from replay.reader import read_log
 from replay.configuration import choose_config
 from replay.preparation import navigable
 recording = read_log([Path(sys.argv[1])])
-fit, _ = navigable(recording)
 chosen = choose_config(recording)
+fit, _ = navigable(recording, chosen.config)
 from replay.player import play
 def first(_, out):
     if len(out.published):

@@ -98,8 +98,9 @@ def examine(path: Path, name: str) -> Outcome:
         recording = read_log([path])
         if recording.vehicles:
             shape = _shape(recording.format, recording.vehicles[0])
-        fit, _ = navigable(recording)
-        result = run_session(fit[0], choose_config(recording))
+        chosen = choose_config(recording)
+        fit, _ = navigable(recording, chosen.config)
+        result = run_session(fit[0], chosen)
         return Outcome(name, "replayed", shape, _replayed(result))
     except CompanionError as error:
         return Outcome(name, "refused", shape, str(error).removeprefix(f"{path}: "))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.types import ImuTooSlowError, LogFormatError
-from replay.reader import read_log, require_imu_rate
+from replay.reader import read_log, require_inputs
 
 from . import logs
 
@@ -61,15 +61,15 @@ def test_two_files_of_one_run(tmp_path: Path) -> None:
         read_log([tlog, binlog], vehicle="other")
 
 
-def test_slow_imu_is_refused_with_its_rate(tmp_path: Path) -> None:
+def test_slow_imu_is_refused_for_a_strapdown_filter_with_its_rate(tmp_path: Path) -> None:
     path = tmp_path / "slow.tlog"
     path.write_bytes(
         b"".join(logs.stamped(logs.WALL_US + b, f) for b, f in logs.tlog_frames(20.0, rate_hz=5))
     )
     vehicle = read_log([path]).vehicles[0]
     with pytest.raises(ImuTooSlowError, match=r"HIGHRES_IMU, comes at 5\.0 Hz"):
-        require_imu_rate(vehicle)
-    require_imu_rate(vehicle, minimum_hz=4.0)
+        require_inputs(vehicle)
+    require_inputs(vehicle, minimum_hz=4.0)
 
 
 def test_real_logs_read_or_refuse(data_dir: Path) -> None:
