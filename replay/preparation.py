@@ -46,16 +46,19 @@ def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> Vehic
 
 
 def navigable(
-    recording: Recording, config: Config, name: str | None = None
+    recording: Recording, config: Config | None, name: str | None = None
 ) -> tuple[list[VehicleRecording], list[Refused]]:
     """The vehicles that a filter can be run on, and the others with the reason.
+
+    ``config`` says which filter; None: only a strapdown one will do.
 
     Raises the one reason where nothing is left, and :class:`LogFormatError` for an unknown name.
     """
     known = [v.name for v in recording.vehicles]
     if name is not None and name not in known:
         raise LogFormatError(f"{recording.path}: no vehicle '{name}'; it has {', '.join(known)}")
-    minimum_hz = 0.0 if config.engine.estimator == "direct" else SLOW_HZ
+    direct = config is not None and config.engine.estimator == "direct"
+    minimum_hz = 0.0 if direct else SLOW_HZ
     fit: list[VehicleRecording] = []
     refused: list[Refused] = []
     errors: list[CompanionError] = []

@@ -547,9 +547,10 @@ def watch(
 @app.command(no_args_is_help=True)
 def reproduce(
     paper: Annotated[
-        Literal["kamil", "duong"],
+        Literal["kamil", "duong", "yu"],
         typer.Argument(
-            metavar="PAPER", help="kamil: two-filter smoothing; duong: smoothing on line."
+            metavar="PAPER",
+            help="kamil: two-filter smoothing; duong: smoothing on line; yu: direct filter.",
         ),
     ],
     output: Annotated[

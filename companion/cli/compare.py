@@ -31,7 +31,7 @@ def compare_settings(
     with present.notice_if_slow(console, LOADING):
         from replay import comparison
     wanted = comparison.settings(chosen, names or comparison.DEFAULT)
-    fit, refused = navigable(recording, vehicle_name)
+    fit, refused = navigable(recording, None, vehicle_name)
     for one in refused:
         console.print(f"[yellow]Vehicle {escape(one.name)} left out: {escape(one.reason)}")
     vehicles = []

@@ -25,7 +25,7 @@ def tune_log(
     from replay.preparation import navigable
 
     recording, chosen = read(console, [log], config_path, vehicle_name)
-    fit, _ = navigable(recording, vehicle_name)
+    fit, _ = navigable(recording, None, vehicle_name)
     with present.notice_if_slow(console, LOADING):
         from replay.tuning.parameter import as_toml
         from replay.tuning.tune import tune

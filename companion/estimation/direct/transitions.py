@@ -4,8 +4,8 @@ A step of raw specific force of the first IMU from one sample to the next beyond
 and 41; magnitudes, though the paper prints none) is a change of motion that the trajectory model
 does not foresee: the acceleration on that axis is forgotten, P_aa ← P_aa + σ² u uᵀ, and the
 accelerometer's own update, which follows, sets it to (f − b)/(1 + s) − gravity (eq. 42) with the
-uncertainty that this has. While turning, acceleration to the right is measured as turn rate times
-speed (eq. 44) at every sample.
+uncertainty that this has. While turning, acceleration goes round with the vehicle: at every sample
+it is forgotten a little on both axes, and to the right measured as turn rate times speed (eq. 44).
 """
 
 from __future__ import annotations
@@ -58,6 +58,9 @@ def switch(s: F64, k: I64, lay: I64, par: F64, fx: float, fy: float, var: float,
             # A step back to nothing ends the turn; anything else begins or sharpens one.
             found = CIRCULAR_BEGINS if abs(fy) > abs(s[LAST_FORCE_Y]) else CIRCULAR_ENDS
             k[CIRCULAR] = found == CIRCULAR_BEGINS
+    if k[CIRCULAR] == 1:
+        _forget(s, lay, par[CIRCLE_VAR], C, 0)
+        _forget(s, lay, par[CIRCLE_VAR], C, 1)
     s[LAST_FORCE_X], s[LAST_FORCE_Y] = fx, fy
     k[HAVE_FORCE] = 1
     return found
