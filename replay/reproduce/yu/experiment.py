@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.types import F64
 from replay.reproduce import figures
@@ -34,6 +35,8 @@ NOTES = (
     "The model without mechanisms is helped by more jerk; the last table shows where they meet.",
 )
 
+Inside = NDArray[np.bool_] | slice
+"""Which of the epochs."""
 Pair = tuple[list[Errors], list[Errors]]
 """Runs with the mechanisms, and the same runs without."""
 
@@ -49,9 +52,6 @@ def reproduce(out: Path | None, seeds: int, progress: Callable[[str], None]) -> 
         few = min(seeds, SWEEP_SEEDS)
         pair = (runs[0][:few], runs[1][:few]) if jerk == JERK else _runs(track, few, jerk)
         sweep.append((jerk, *(x for kind in _KINDS for x in (_rms(p, kind) for p in pair))))
-    heads = [
-        f"{kind} {unit} {which}" for kind, unit in _KINDS.items() for which in ("with", "without")
-    ]
     tables = (
         _track_table(track),
         _range_table(runs[0]),
@@ -93,7 +93,7 @@ def stacked(runs: list[Errors], kind: str) -> F64:
     return np.array([getattr(run, kind) for run in runs])
 
 
-def _rms(runs: list[Errors], kind: str, inside: F64 | slice = slice(None)) -> float:
+def _rms(runs: list[Errors], kind: str, inside: Inside = slice(None)) -> float:
     """Three-dimensional, over runs and time."""
     return float(np.sqrt(np.mean(np.sum(stacked(runs, kind)[:, inside] ** 2, axis=2))))
 
@@ -146,13 +146,10 @@ def _comparison(runs: Pair) -> Table:
     """RMS with and without the mechanisms, by interval of the track."""
     t = runs[0][0].t
     edges = [*(step[0] for step in STEPS), float(SECONDS) + 1.0]
-    spans = [("whole track", slice(None))]
+    spans: list[tuple[str, Inside]] = [("whole track", slice(None))]
     spans += [(f"{a:g}-{min(b, SECONDS):g} s", (t > a) & (t <= b)) for a, b in pairwise(edges)]
     rows: list[tuple[Cell, ...]] = []
     for name, inside in spans:
         pairs = [(_rms(runs[0], kind, inside), _rms(runs[1], kind, inside)) for kind in _KINDS]
         rows.append((name, *(x for pair in pairs for x in pair)))
-    heads = [
-        f"{kind} {unit} {which}" for kind, unit in _KINDS.items() for which in ("with", "without")
-    ]
-    return Table("RMS, three-dimensional", ("interval", *heads), tuple(rows))
+    return Table("RMS, three-dimensional", ("interval", *_HEADS), tuple(rows))

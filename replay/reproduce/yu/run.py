@@ -27,7 +27,7 @@ from companion.estimation.update import REPORT_SIZE
 from companion.estimation.walk import AID_SIZE, KIND_GNSS, KIND_IMU, ROW_SIZE
 from companion.navigation.earth import ned_difference
 from companion.navigation.rotation import quat_from_rpy, rpy_from_quat
-from companion.types import F64, NS
+from companion.types import F64, I64, NS
 from replay.reproduce.yu import track as tr
 
 EVERY = 10
@@ -91,7 +91,7 @@ def fly(track: tr.Track, sensors: tr.Sensors, start: F64, jerk: float, transitio
     setup = Setup(configuration(jerk, transitions))
     s, k = _begin(setup, start)
     count = len(track.t)
-    t = NS + np.arange(1, count + 1) * (NS // tr.RATE_HZ)
+    t: I64 = NS + np.arange(1, count + 1, dtype=np.int64) * (NS // tr.RATE_HZ)
     aid_t, kinds, rows = _aids(setup, sensors, t)
     found = []
     at = np.array([0, 0, 0, len(aid_t), 0, 0, 0])
@@ -124,7 +124,7 @@ def fly(track: tr.Track, sensors: tr.Sensors, start: F64, jerk: float, transitio
     )
 
 
-def _begin(setup: Setup, start: F64) -> tuple[F64, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+def _begin(setup: Setup, start: F64) -> tuple[F64, I64]:
     """State and clock at rest at the start of the track, off by what the deviations allow."""
     lay = setup.layout
     s, k = np.zeros(lay.size), np.zeros(lay.int_size, np.int64)
@@ -146,7 +146,7 @@ def _begin(setup: Setup, start: F64) -> tuple[F64, np.ndarray[tuple[int], np.dty
     return s, k
 
 
-def _aids(setup: Setup, sensors: tr.Sensors, t: F64) -> tuple[F64, F64, F64]:
+def _aids(setup: Setup, sensors: tr.Sensors, t: I64) -> tuple[I64, I64, F64]:
     """The two further units and the fixes as rows of the aid table, in order of time."""
     count = len(t)
     rows = np.full((2 * count + len(sensors.fixes), AID_SIZE), np.nan)
