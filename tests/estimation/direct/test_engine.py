@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config import Config
+from companion.config import Config, FurtherImu
 from companion.engine import Engine
 from companion.types import (
     AttitudeSamples,
@@ -95,9 +95,7 @@ def test_a_gap_is_carried_by_the_model_with_growing_deviations(flight: Simulatio
 def test_what_is_no_number_is_refused_and_a_smoother_gets_a_reason(flight: Simulation) -> None:
     recording, config = _slow(flight, {"attitude": True})
     imu, attitude = recording.imu[0], recording.attitude[0]
-    further = msgspec.structs.replace(
-        config, further_imu=msgspec.convert([{"source": "imu2"}], type(config.further_imu))
-    )
+    further = msgspec.structs.replace(config, further_imu=(FurtherImu(source="imu2"),))
     bad = imu.take(slice(10, 11))
     bad = replace(bad, source="imu2", gyro_b=bad.gyro_b * np.nan)
     engine = Engine(further)
