@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +57,14 @@ def _parameters() -> F64:
     return p
 
 
-def linear_run(seed: int, steps: int = 30) -> LinearRun:
+def symmetric(P: F64, gain: F64) -> None:
+    """P ← P − (PHᵀ)(PHᵀ)ᵀ/S, as the filter does it."""
+    P -= np.outer(gain, gain)
+
+
+def linear_run(
+    seed: int, steps: int = 30, update: Callable[[F64, F64], None] = symmetric
+) -> LinearRun:
     """A seeded run with every optional state, about two updates a step, turns, fades and rows.
 
     A fade P ← α² P is a weight on the data: the same as all later R and Q divided by the product of
@@ -126,7 +134,7 @@ def linear_run(seed: int, steps: int = 30) -> LinearRun:
             gain, y = P @ H / np.sqrt(S), z - H @ x
             tp.record_update(tape, H, gain, 1 / np.sqrt(S), y, n)
             x = x + gain * y / np.sqrt(S)
-            P -= np.outer(gain, gain)
+            update(P, gain)
             seen.append((now, H, R / faded, z))
         if step % 3 == 1:
             turn = np.zeros(n)
