@@ -1,10 +1,10 @@
 """Every smoother inside outages: a real drive against RTK, and ArduPilot SITL flights.
 
-``python -m tests.benchmarks.smoothing_outages [drive] [flights]``; about six minutes. GNSS is
-withheld in one place at a time: in the drive ``car-rtk`` at the ten places of
-``tests.benchmarks.car``; in the flights for 60 s about each outage that they were flown with. What
-counts is the largest horizontal error inside the window, as mean and worst over the places, and
-the error in the window's middle.
+``python -m tests.benchmarks.smoothing_outages [drive] [flights] [SECONDS…]``; about six minutes.
+GNSS is withheld in one place at a time: in the drive ``car-rtk`` at the ten places of
+``tests.benchmarks.car``, for 10, 20, 30 and 60 s or those that are named; in the flights for 60 s
+about each outage that they were flown with. What counts is the largest horizontal error inside the
+window, as mean and worst over the places, and the error in the window's middle.
 """
 
 from __future__ import annotations
@@ -104,18 +104,18 @@ def _rms(x: F64) -> float:
 HEAD = ["outage", "solution", "largest m: mean", "worst", "middle m: RMS", "over optimal"]
 
 
-def drive() -> None:
+def drive(lengths: Sequence[int]) -> None:
     """Print the tables of the drive."""
     vehicle = read_log([need_data("car-rtk")]).vehicles[0]
     config = load(ROOT / "configs" / "car.toml")
     for name, constraint in (("inertial only", False), ("non-holonomic", True)):
         chosen = variant(config, constraint, True)
         made = []
-        for length in LENGTHS_S:
+        for length in lengths:
             windows = places(vehicle, length)
             found = [inside(vehicle, chosen, window, ANTENNA_B) for window in windows]
             made += rows(f"{length} s at {len(windows)} places", found)
-        print(f"car-rtk, {name}\n{table(HEAD, made)}\n")
+        print(f"car-rtk, {name}\n{table(HEAD, made)}\n", flush=True)
 
 
 def flights() -> None:
@@ -136,13 +136,14 @@ def flights() -> None:
         wide = [Window(w.start_s + 0.5 * (w.seconds - EXTENDED_S), EXTENDED_S) for w in own]
         found = [inside(vehicle, config, window, _NO_LEVER) for window in wide]
         made += rows(f"{EXTENDED_S:.0f} s about each", found)
-        print(f"{flight}\n{table(HEAD, made)}\n")
+        print(f"{flight}\n{table(HEAD, made)}\n", flush=True)
 
 
 def main(parts: list[str]) -> None:
     """Print the tables that are asked for, or all."""
+    lengths = [int(part) for part in parts if part.isdigit()]
     if not parts or "drive" in parts:
-        drive()
+        drive(lengths or LENGTHS_S)
     if not parts or "flights" in parts:
         flights()
 
