@@ -26,7 +26,6 @@ MEANS: tuple[Mean, ...] = ("zero", "small", "large")
 Action = Literal["nominal", "hold", "match"]
 ACTIONS: tuple[Action, ...] = ("nominal", "hold", "match")
 Weight = Literal["zero", "small", "medium", "large"]
-WEIGHTS: tuple[Weight, ...] = ("zero", "small", "medium", "large")
 
 
 class Rule(Section):
