@@ -1,7 +1,9 @@
 """Heading: from a horizontal direction known in n and seen in b. Magnetometer and course use it.
 
 A body vector u_b whose horizontal direction in n is known to be ψ: y = ψ − atan2(u_E, u_N) with
-u = C_nb u_b. From δu = φ × u:  H_φ = (−u_D u_N, −u_D u_E, u_h²) / u_h².
+u = C_nb u_b. From δu = φ × u:  H_φ = (−u_D u_N, −u_D u_E, u_h²) / u_h², taken where u points to ψ,
+as it truly does: the measured u_E and u_N carry the noise that is in y, and a Jacobian that knows
+of the noise turns it into tilt, 2 P_φφ a sample at a dip of 63°, always the same way.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ def direction(
         H[0, j] = 0.0
     e = azimuth - math.atan2(ue, un)
     y[0] = e - 2.0 * math.pi * math.floor(e / (2.0 * math.pi) + 0.5)
-    H[0, ATT] = -ud * un / h2
-    H[0, ATT + 1] = -ud * ue / h2
+    dip = ud / math.sqrt(h2)
+    H[0, ATT] = -dip * math.cos(azimuth)
+    H[0, ATT + 1] = -dip * math.sin(azimuth)
     H[0, ATT + 2] = 1.0
     return True

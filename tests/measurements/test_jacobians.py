@@ -126,10 +126,30 @@ def test_pressure_height_is_the_standard_atmosphere() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_heading_direction(seed: int) -> None:
-    def model(x: F64, H: F64, y: F64) -> int:
-        return int(direction(LAY, matrix_from_quat(x[:4]), 0.9, 0.3, 0.8, 0.4, H, y))
+    """Where the vector points to the azimuth it should have: that is where H is taken."""
+    s = _state(seed)
+    u = matrix_from_quat(s[:4]) @ np.array([0.9, 0.3, 0.8])
+    azimuth = float(np.arctan2(u[1], u[0]))
 
-    _check(_state(seed), model, 1e-6)
+    def model(x: F64, H: F64, y: F64) -> int:
+        return int(direction(LAY, matrix_from_quat(x[:4]), 0.9, 0.3, 0.8, azimuth, H, y))
+
+    _check(s, model, 1e-6)
+
+
+def test_noise_of_the_field_does_not_lean_on_the_tilt() -> None:
+    """At a dip of 63° and 1° of noise, Σ Hᵀ y over many samples is zero within 5 σ.
+
+    With the measured direction in H it would be 2 σ² a sample, a dozen times as far from zero.
+    """
+    count, sd = 4000, np.radians(1.0)
+    noise = np.random.default_rng(3).normal(0.0, sd, (count, 3))
+    C = matrix_from_quat(np.array([1.0, 0.0, 0.0, 0.0]))
+    H, y, leaning = np.zeros((3, ALL.n)), np.zeros(3), np.zeros(3)
+    for n in noise:
+        assert direction(LAY, C, 1.0 + n[0], n[1], 2.0 + n[2], 0.0, H, y)
+        leaning += y[0] * H[0, lo.ATT : lo.ATT + 3]
+    assert np.all(np.abs(leaning) < 5.0 * np.sqrt(count) * sd * np.array([2.0, 2.0 * sd, 1.0]))
 
 
 def test_a_steep_vector_gives_no_heading() -> None:
