@@ -57,10 +57,10 @@ def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
                 return _at_source(setup, f, t, part, aids), events
         elif news == sf.DECLARED:
             events.append(declared(setup, t, part, q, x))
-            way = _way(x, part, sf.BASE)
+            way = _way(x, part, sf.PULLED)
             if q[sf.STATE] == sf.DRIFTS and _far(way, x):
                 events.append(taken_back(t, part, way))
-                return _at_base(setup, f, t, part, way), events
+                return _without_pull(setup, f, t, part, way), events
     for part in range(2):
         wish = int(_ints(f.k, part)[sf.RELOCK])
         if wish == sf.ONE_PLACE or (wish == sf.ASK_VELOCITY and agreeing_fixes(aids, t)):
@@ -80,7 +80,7 @@ def _floats(s: F64, part: int) -> F64:
 
 
 def _way(x: F64, part: int, mean: int) -> F64:
-    """The way (3,) NED [m] from the filter's position to where a mean of u places the receiver."""
+    """The way (3,) NED [m] from the filter's position to what a mean says of the shadow."""
     way = np.zeros(3)
     for i, axis in enumerate((0, 1) if part == 0 else (2,)):
         way[axis] = x[mean + i] - x[sf.PULL + i]
@@ -110,12 +110,15 @@ def _navigating(setup: Setup, s: F64, k: I64, t: int) -> Phase:
     return new
 
 
-def _at_base(setup: Setup, f: Filter, t: int, part: int, way: F64) -> Phase:
-    """The filter without what it followed of a drift: at the shadow, as its base places it."""
+def _without_pull(setup: Setup, f: Filter, t: int, part: int, way: F64) -> Phase:
+    """The filter without what it followed of a drift: as far off the shadow as in the last minute.
+
+    Not at the base: there is the receiver, which may long have told another height than the rest.
+    """
     s, k = _whole(setup, f)
     x = _floats(s, part)
     _move(setup, s, part, way, np.full(3, x[sf.MISFIT_VAR]))
-    x[sf.PULL : sf.PULL + 2] = x[sf.BASE : sf.BASE + 2]
+    x[sf.PULL : sf.PULL + 2] = x[sf.PULLED : sf.PULLED + 2]
     return _navigating(setup, s, k, t)
 
 

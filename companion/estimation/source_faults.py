@@ -82,6 +82,7 @@ AGREEING = 13  # fixes in a row that agree with the base, or after a gap with ea
 MISFIT = 14  # |fast − base|² [m²]
 MISFIT_VAR = 15  # its variance an axis without a fault [m²]
 REFUSED = 16  # fixes in a row that were not fused
+PULLED = 17  # (2) mean of the pull, as the base is of u: what the filter follows in good times
 
 # --- and of its integers; times in ns, 0 none
 T_LAST, T_BASE, T_STEADY, T_REFUSED, T_FAULT, STATE, NEWS, RELOCK, AFRESH, REPORTED = range(10)
@@ -170,7 +171,7 @@ def _begin(f: F64, q: I64, u: F64, m: int, t: int) -> None:
     for i in range(m):
         v = u[i] - f[PULL + i]
         f[FAST + i] = f[BASE + i] = f[STEADY + i] = f[LAST + i] = v
-        f[PULL + i] = 0.0
+        f[PULL + i] = f[PULLED + i] = 0.0
     f[DRIFT_VAR] = f[MISFIT] = f[AGREEING] = f[REFUSED] = 0.0
     f[MISFIT_VAR] = 1.0
     q[T_LAST] = q[T_BASE] = q[T_STEADY] = t
@@ -202,6 +203,7 @@ def _means(
         f[FAST + i] += gain_in * (u[i] - f[FAST + i])
         if trusted:
             f[BASE + i] += base_gain * (f[FAST + i] - f[BASE + i])
+            f[PULLED + i] += base_gain * (f[PULL + i] - f[PULLED + i])
         f[MISFIT] += (f[FAST + i] - f[BASE + i]) * (f[FAST + i] - f[BASE + i])
     f[MISFIT_VAR] = r * gain / (2.0 - gain) + slow * age / (age + tau) + f[DRIFT_VAR]
     drifted = 2.0 * DRIFT_MPS * DRIFT_MPS * DRIFT_CORRELATION_S * STEADY_S

@@ -64,7 +64,7 @@ BANK_NIS = VIBRATION + 5  # sum of capped NIS over what the bank competes on
 BANK_DOF = VIBRATION + 6  # and of its components
 # --- what is known of the position source, horizontal and vertical (see source_faults.py)
 SOURCE = VIBRATION + 7
-SOURCE_SIZE = 17
+SOURCE_SIZE = 19
 # --- adaptation: what is in force, and what it is drawn from (see estimation/adaptation)
 R_SCALE = SOURCE + 2 * SOURCE_SIZE  # factor on R, one a channel
 CHANNELS = 10
