@@ -16,7 +16,9 @@ from replay import kernels
 
 @pytest.fixture
 def empty(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    importlib.import_module("replay.session")  # its kernels from the cache in use until now
+    # Their kernels from the cache in use until now, which numba asks for when it is imported.
+    importlib.import_module("numba")
+    importlib.import_module("replay.session")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
@@ -95,3 +97,35 @@ def test_a_log_that_is_not_there_compiles_nothing(
     monkeypatch.setattr(kernels, "load_all", lambda _: pytest.fail("compiled"))
     with pytest.raises(SystemExit, match="1"):
         main(["replay", str(tmp_path / "absent.tlog")])
+
+
+def test_a_warm_start_loads_only_what_python_calls(root: Path) -> None:
+    """Neither scipy's statistics nor its BLAS, and of the kernels a handful."""
+    code = """
+import sys
+from pathlib import Path
+from companion._jit import Kernel
+made, loaded = [], []
+load = Kernel.load
+def counted(self):
+    loaded.append(self.__name__)
+    return load(self)
+init = Kernel.__init__
+def noted(self, *given):
+    made.append(self)
+    init(self, *given)
+Kernel.load, Kernel.__init__ = counted, noted
+from companion.config import load as load_config
+from companion.runtime.start import warm_up
+import companion.runtime.run
+warm_up(load_config(Path("configs/multirotor.toml")))
+heavy = [m for m in ("scipy.special", "scipy.linalg", "scipy.stats") if m in sys.modules]
+print(len(made), len(set(loaded)), "walk" in loaded, heavy)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
+    )
+    made, loaded, walked, heavy = done.stdout.split(maxsplit=3)
+    assert int(made) > 40
+    assert int(loaded) < int(made) / 3
+    assert (walked, heavy.strip()) == ("True", "[]")

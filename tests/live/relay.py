@@ -50,7 +50,10 @@ class Relay:
         self._reader = mavlink.MAVLink(None)
         self._reader.robust_parsing = True
         self._companion: tuple[str, int] | None = None
+        self._plain = b""
+        """The newest of the autopilot's messages, as it sent it."""
         self._old: list[bytes] = []
+        """Its heartbeats, signed."""
         self._stop = threading.Event()
         self.said: list[Any] = []
         """Messages of the companion."""
