@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,9 +29,10 @@ from companion.estimation.buffers import SampleBuffer
 from companion.estimation.choice import new_estimator
 from companion.estimation.recording import Recording, Tape
 from companion.estimation.stretch import Stretch
-from companion.intake.aids import NEVER, Admitted, AidIntake
+from companion.intake.aids import NEVER, Admitted, AidIntake, together
 from companion.intake.counters import Counters
 from companion.intake.inertial import CHUNK, CLOCK_BACK_NS, InertialIntake, in_order
+from companion.intake.ranges import RangeIntake, RangeSamples
 from companion.outlet import NO_SOLUTION, NOTHING, Outlet, join, reports, trace
 from companion.smoothing.on_line import OnLine
 from companion.types import (
@@ -65,6 +67,7 @@ _KIND_OF_CHANNEL[:7] = 0, 0, 0, 0, w.KIND_BARO, w.KIND_MAG, w.KIND_GNSS
 _KIND_OF_CHANNEL[Channel.ATTITUDE] = w.KIND_ATTITUDE
 _KIND_OF_CHANNEL[[Channel.GYRO, Channel.ACCELEROMETER]] = w.KIND_IMU
 _KIND_OF_CHANNEL[[Channel.SOURCE_H, Channel.SOURCE_V]] = w.KIND_GNSS
+_KIND_OF_CHANNEL[Channel.RANGE_GPS : Channel.RATE_BEIDOU + 1] = w.KIND_RANGE
 
 
 class Engine:
@@ -83,6 +86,7 @@ class Engine:
         self._stretches: list[Stretch] = []
         self._inertial = InertialIntake(config, self.counters)
         self._aiding = AidIntake(config, self.counters)
+        self._ranges = RangeIntake(config)
         self._outlet = Outlet()
         self._imu = SampleBuffer(7)
         self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
@@ -101,19 +105,25 @@ class Engine:
             return NOTHING
         if isinstance(samples, ImuSamples) and not self._aiding.further(samples):
             return self._step_imu(samples)
-        place = self._aiding.place
         self.counters.aids += len(samples)
+        prepared, events = self._ranges.take([samples])
+        for made in prepared:
+            self._step_sensor(made)
+        # Rows walked again settle with the next inertial samples; what is new is said at once.
+        said, traced = self._reports()
+        every = (*self._outlet.events(self.filter), *events)
+        return Outputs(NO_SOLUTION, NO_SOLUTION, said, every, adaptation=traced)
+
+    def _step_sensor(self, samples: AidingSamples | RangeSamples) -> None:
+        """One sensor's arrival, behind what waits for it."""
+        place = self._aiding.place
         if isinstance(samples, MagSamples) and self._aiding.waits(samples):
-            return NOTHING
+            return
         if isinstance(samples, GnssSamples) and place.waiting:
             # Heading at the start comes from these: they go in before the fix does.
             for mag in place.released(samples):
                 self._step_aids(mag)
         self._step_aids(samples)
-        # Rows walked again settle with the next inertial samples; what is new is said at once.
-        said, traced = self._reports()
-        events = self._outlet.events(self.filter)
-        return Outputs(NO_SOLUTION, NO_SOLUTION, said, events, adaptation=traced)
 
     def step_block(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
         """Take inertial samples and the aiding that arrived among them, as their ``seq`` says.
@@ -131,21 +141,25 @@ class Engine:
         self.counters.imu += len(t)
         heads = np.concatenate(([NEVER if head is None else head], t))
         late: list[tuple[int, int, Admitted]] = []
-        for samples in aids:
-            self.counters.aids += len(samples)
+        self.counters.aids += sum(len(samples) for samples in aids)
+        prepared, events = self._ranges.take(aids)
+        for samples in prepared:
             at = np.searchsorted(imu.seq, samples.seq)
             admitted = self._admit(samples, heads[at])
             if admitted is None:
                 continue
             behind = admitted.late
             admitted.take(~behind).put(self._aids)
-            at, seq = at[admitted.index].tolist(), samples.seq[admitted.index].tolist()
+            back = admitted.take(behind)
+            at, seq = at[back.index], samples.seq[back.index]
             late += [
-                (seq[m], at[m], admitted.take(slice(m, m + 1))) for m in np.flatnonzero(behind)
+                (int(seq[part.start]), int(at[part.start]), back.take(part))
+                for part in together(seq, back.t)
             ]
         late.sort(key=lambda one: one[0])
         self._walk_between(t, rows, late)
-        return self._drain()
+        out = self._drain()
+        return replace(out, events=(*out.events, *events)) if events else out
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""
@@ -240,10 +254,10 @@ class Engine:
 
     # ------------------------------------------------------------------ aiding
 
-    def _admit(self, samples: AidingSamples, heads: I64) -> Admitted | None:
+    def _admit(self, samples: AidingSamples | RangeSamples, heads: I64) -> Admitted | None:
         return self._aiding.admit(samples, heads, started=bool(self.filter.phases[-1].filters))
 
-    def _step_aids(self, samples: AidingSamples) -> None:
+    def _step_aids(self, samples: AidingSamples | RangeSamples) -> None:
         head = self._head
         admitted = self._admit(samples, np.full(len(samples), NEVER if head is None else head))
         if admitted is None:
@@ -311,7 +325,7 @@ class Engine:
     @staticmethod
     def _is_of(report: F64, aid: Admitted) -> bool:
         kind = _KIND_OF_CHANNEL[int(report[up.R_CHANNEL])]
-        return bool(kind == aid.kind and report[up.R_SOURCE] == aid.source)
+        return bool(kind == aid.kind and report[up.R_SOURCE] in aid.source)
 
     def _one_by_one(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
         """A block's arrivals each in a step of its own."""

@@ -31,6 +31,10 @@ NS = 1_000_000_000
 """Nanoseconds in a second."""
 
 
+SATELLITES = 64
+"""Columns of an epoch of raw GNSS measurements: more satellites than are ever seen at once."""
+
+
 # --------------------------------------------------------------------------- errors
 
 
@@ -168,7 +172,7 @@ class ReferenceSamples(Samples):
 
 @dataclass(frozen=True, slots=True)
 class RawGnssSamples(Samples):
-    """Raw measurements of a satellite receiver, an epoch a row; K is the most satellites of any.
+    """Raw measurements of a satellite receiver, an epoch a row; K is :data:`SATELLITES`.
 
     Satellites are numbered as in :mod:`companion.gnss`: 100 · (system + 1) + PRN with GPS 0,
     Galileo 1, BeiDou 2; one signal each: L1 C/A, E1, B1I or B3I.
@@ -204,9 +208,17 @@ class BroadcastSamples(Samples):
     """(N, 28) the columns of :mod:`companion.gnss.orbit`; of an ionosphere α0…α3, β0…β3 first."""
 
 
-AidingSamples = GnssSamples | BaroSamples | MagSamples | AttitudeSamples | ImuSamples
+AidingSamples = (
+    GnssSamples
+    | BaroSamples
+    | MagSamples
+    | AttitudeSamples
+    | RawGnssSamples
+    | BroadcastSamples
+    | ImuSamples
+)
 """What may come late; inertial samples only of units beside the first (``further_imu``)."""
-AnySamples = ImuSamples | GnssSamples | BaroSamples | MagSamples | AttitudeSamples
+AnySamples = AidingSamples
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +226,7 @@ class StreamInfo:
     """What a reader found out about one stream."""
 
     source: str
-    kind: Literal["imu", "gnss", "baro", "mag", "attitude", "truth", "autopilot"]
+    kind: Literal["imu", "gnss", "baro", "mag", "attitude", "raw", "truth", "autopilot"]
     count: int
     rate_hz: float
     """Median rate; 0 with fewer than two samples."""
@@ -238,6 +250,9 @@ class VehicleRecording:
     autopilot: ReferenceSamples | None = None
     height_datum: Literal["hae", "msl"] = "hae"
     streams: tuple[StreamInfo, ...] = ()
+    raw: tuple[RawGnssSamples, ...] = ()
+    broadcast: tuple[BroadcastSamples, ...] = ()
+    """Navigation messages for the receiver at the same place in ``raw``."""
     smoothing_gaps: tuple[tuple[int, int], ...] = ()
     """Spans [ns] in which the smoother of a live run gave way to its filter."""
     attitude: tuple[AttitudeSamples, ...] = ()
@@ -391,6 +406,12 @@ class Channel(IntEnum):
     (estimation/source_faults.py)."""
     SOURCE_V = 17
     """The same for its height."""
+    RANGE_GPS = 18
+    RANGE_GALILEO = 19
+    RANGE_BEIDOU = 20
+    RATE_GPS = 21
+    RATE_GALILEO = 22
+    RATE_BEIDOU = 23
 
 
 class Verdict(IntEnum):

@@ -47,10 +47,10 @@ def choose_imu(vehicle: VehicleRecording, config: Config) -> ImuSamples:
 
 def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples]:
     """The aiding streams in use: the best of each kind, or the GNSS receiver that is named."""
-    gnss = [g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)]
-    if vehicle.gnss and not gnss:
-        names = ", ".join(g.source for g in vehicle.gnss)
-        raise LogFormatError(f"no GNSS stream '{config.gnss.source}' in the log; it has {names}")
+    if config.raw_gnss.coupling != "off":
+        gnss = _raw(vehicle, config)
+    else:
+        gnss = _fixes(vehicle, config)
     baro = vehicle.baro[:1] if config.baro.use else ()
     mag = (Thinner(config.mag.max_rate_hz)(m) for m in vehicle.mag[:1] if config.mag.use)
     direct = config.engine.estimator == "direct"
@@ -61,7 +61,26 @@ def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples
         for stream in vehicle.imu
         if direct and stream.source == unit.source
     ]
-    return [*gnss[:1], *baro, *mag, *attitude, *further]
+    return [*gnss, *baro, *mag, *attitude, *further]
+
+
+def _raw(vehicle: VehicleRecording, config: Config) -> list[AidingSamples]:
+    """The raw measurements and navigation messages of the receiver that is named."""
+    wanted = config.raw_gnss.source
+    for at, raw in enumerate(vehicle.raw):
+        if wanted in ("auto", raw.source):
+            return [*vehicle.broadcast[at : at + 1], raw]
+    names = ", ".join(raw.source for raw in vehicle.raw) or "none"
+    raise LogFormatError(f"no raw GNSS stream '{wanted}' in the log; it has {names}")
+
+
+def _fixes(vehicle: VehicleRecording, config: Config) -> list[AidingSamples]:
+    """The fixes of the receiver that is named."""
+    gnss = [g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)]
+    if vehicle.gnss and not gnss:
+        names = ", ".join(g.source for g in vehicle.gnss)
+        raise LogFormatError(f"no GNSS stream '{config.gnss.source}' in the log; it has {names}")
+    return [*gnss[:1]]
 
 
 def arrivals(
@@ -82,6 +101,8 @@ def arrivals(
         "MagSamples": round(config.mag.latency_ms * 1e6),
         "AttitudeSamples": 0,
         "ImuSamples": imu_latency,
+        "RawGnssSamples": round(config.raw_gnss.latency_ms * 1e6),
+        "BroadcastSamples": 0,
     }
     peak, restarts = _reached(imu.t_ns)
     peak = peak - imu_latency

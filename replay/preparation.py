@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from companion.config import Config
-from companion.types import NS, CompanionError, LogFormatError, Recording, VehicleRecording
+from companion.types import (
+    NS,
+    CompanionError,
+    LogFormatError,
+    Recording,
+    Samples,
+    VehicleRecording,
+)
 from replay.reader import require_inputs
 from replay.streams import SLOW_HZ
 from replay.window import Window
+
+S = TypeVar("S", bound=Samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +45,18 @@ def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> Vehic
     if not windows:
         return vehicle
     origin = start_ns(vehicle)
-    receivers = []
-    for samples in vehicle.gnss:
-        keep = np.ones(len(samples), np.bool_)
-        for window in windows:
-            begin = origin + round(window.start_s * NS)
-            keep &= (samples.t_ns < begin) | (samples.t_ns >= begin + round(window.seconds * NS))
-        receivers.append(samples.take(keep))
-    return replace(vehicle, gnss=tuple(receivers))
+    fixes = tuple(_outside(samples, windows, origin) for samples in vehicle.gnss)
+    raw = tuple(_outside(samples, windows, origin) for samples in vehicle.raw)
+    return replace(vehicle, gnss=fixes, raw=raw)
+
+
+def _outside(samples: S, windows: Sequence[Window], origin: int) -> S:
+    """What is valid in none of ``windows``, which count from ``origin`` [ns]."""
+    keep = np.ones(len(samples), np.bool_)
+    for window in windows:
+        begin = origin + round(window.start_s * NS)
+        keep &= (samples.t_ns < begin) | (samples.t_ns >= begin + round(window.seconds * NS))
+    return samples.take(keep)
 
 
 def navigable(

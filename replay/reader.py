@@ -198,5 +198,5 @@ def require_inputs(vehicle: VehicleRecording, minimum_hz: float = SLOW_HZ) -> No
             f"{vehicle.name}: the best IMU stream, {best.source}, comes at {rate:.1f} Hz; "
             f'a strapdown filter needs at least {minimum_hz:g} Hz (engine.estimator = "direct")'
         )
-    if not has_inputs(vehicle):
+    if not vehicle.raw and not has_inputs(vehicle):
         raise LogFormatError(f"{vehicle.name}: no GNSS fix in the log")

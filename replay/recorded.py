@@ -24,10 +24,12 @@ from companion.types import (
     AidingSamples,
     AnySamples,
     BaroSamples,
+    BroadcastSamples,
     Event,
     GnssSamples,
     ImuSamples,
     MagSamples,
+    RawGnssSamples,
     Solution,
     VehicleRecording,
 )
@@ -138,6 +140,8 @@ def _validity(aids: AidingSamples, config: Config) -> I64:
         GnssSamples: config.gnss.latency_ms,
         BaroSamples: config.baro.latency_ms,
         MagSamples: config.mag.latency_ms,
+        RawGnssSamples: config.raw_gnss.latency_ms,
+        BroadcastSamples: 0.0,
     }
     valid: I64 = aids.t_ns - round(latency_ms[type(aids)] * 1e6)
     return valid

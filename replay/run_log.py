@@ -39,6 +39,8 @@ _BATCHES: dict[str, tuple[str, Batch]] = {
     "input/baro": ("baro", columns.BARO),
     "input/mag": ("mag", columns.MAG),
     "input/attitude": ("attitude", columns.ATTITUDE),
+    "input/raw": ("raw", columns.RAW),
+    "input/broadcast": ("broadcast", columns.BROADCAST),
     "reference/truth": ("truth", columns.REFERENCE),
     "reference/autopilot": ("autopilot", columns.REFERENCE),
 }
@@ -198,6 +200,8 @@ def _vehicle(run: _Run, name: str) -> VehicleRecording:
         gnss=of("gnss"),
         baro=of("baro"),
         mag=of("mag"),
+        raw=of("raw"),
+        broadcast=of("broadcast"),
         truth=_only(of("truth")),
         autopilot=_only(of("autopilot")),
         height_datum="msl" if info.height_datum == "msl" else "hae",
@@ -206,7 +210,7 @@ def _vehicle(run: _Run, name: str) -> VehicleRecording:
             StreamInfo(s.source, _kind(s.kind), s.count, s.rate_hz, s.longest_gap_s, s.gaps, s.note)
             for s in info.streams
         )
-        or tuple(stream_info(streams[key], _kind(key[0])) for key in keys),
+        or tuple(stream_info(streams[key], _kind(key[0])) for key in keys if key[0] != "broadcast"),
         attitude=of("attitude"),
     )
 
@@ -220,7 +224,7 @@ def _as_used(
     goes, or a replay would use what the run did not.
     """
     first = {(s.kind, s.source): s.first_seq for s in info.order}
-    kinds = {kind for kind, _ in first} | {"truth", "autopilot"}
+    kinds = {kind for kind, _ in first} | {"truth", "autopilot", "broadcast"}
     for kind, source in streams:
         if kind not in kinds:
             run.notes.append(f"{info.name}: {source} ({kind}) was logged, not used")
@@ -271,7 +275,7 @@ def _only(found: tuple[ReferenceSamples, ...]) -> ReferenceSamples | None:
 
 
 def _kind(kind: str) -> Any:
-    known = ("imu", "gnss", "baro", "mag", "attitude", "truth", "autopilot")
+    known = ("imu", "gnss", "baro", "mag", "attitude", "raw", "truth", "autopilot")
     return kind if kind in known else "autopilot"
 
 

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -18,10 +19,12 @@ from companion.types import (
     F64,
     I64,
     BaroSamples,
+    BroadcastSamples,
     GnssSamples,
     ImuSamples,
     LogFormatError,
     MagSamples,
+    RawGnssSamples,
     Recording,
     ReferenceSamples,
 )
@@ -248,6 +251,15 @@ def _name(config: str | None) -> str:
     return name if isinstance(name, str) and name else "vehicle"
 
 
+def _gnss_clock(config: str | None) -> Literal["utc", "gps"]:
+    """On which time the folder's stamps run, ``raw_gnss.clock``; UTC unless it says otherwise."""
+    try:
+        section = tomllib.loads(config or "").get("raw_gnss", {})
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return "utc"
+    return "gps" if isinstance(section, dict) and section.get("clock") == "gps" else "utc"
+
+
 def _units(folder: Path, stem: str) -> list[Path]:
     """``imu.csv``, ``imu2.csv``, … in order."""
     numbered_files = [
@@ -268,7 +280,7 @@ def read_folder(folder: Path) -> Recording:
     fixes = [_gnss(path) for path in _units(folder, "gnss")]
     if not imus and not fixes:
         raise LogFormatError(f"{folder}: no imu.csv and no gnss.csv; not a sensor folder")
-    notes = []
+    notes: list[str] = []
     baros: list[BaroSamples] = []
     for path in _units(folder, "baro")[:1]:
         csv = read_csv(path, ("t_ns", "pressure_pa"))
@@ -280,11 +292,20 @@ def read_folder(folder: Path) -> Recording:
             MagSamples(path.stem, *csv.stamps(), csv.stack("mag_x_t", "mag_y_t", "mag_z_t"))
         )
     truths = [read_reference(folder / "truth.csv")] if (folder / "truth.csv").is_file() else []
-    if (folder / "raw_gnss").is_dir():
-        notes.append("raw_gnss: raw GNSS measurements are not used yet")
     config = _text(folder / "vehicle.toml")
-    imus, fixes, baros, mags, truths = numbered([imus, fixes, baros, mags, truths])
-    vehicle, odd = finish_vehicle(
-        _name(config), imus, fixes, baros, mags, truths[0] if truths else None, None, datum="hae"
+    raws: list[RawGnssSamples] = []
+    broadcasts: list[BroadcastSamples] = []
+    if (folder / "raw_gnss").is_dir():
+        from replay.raw_gnss.folder import read_raw_folder
+
+        found = read_raw_folder(folder / "raw_gnss", _gnss_clock(config))
+        raws, broadcasts = [found.raw], [found.broadcast]
+        notes += found.notes
+    imus, fixes, baros, mags, broadcasts, raws, truths = numbered(
+        [imus, fixes, baros, mags, broadcasts, raws, truths]
     )
+    vehicle, odd = finish_vehicle(
+        _name(config), imus, fixes, baros, mags, truths[0] if truths else None, None, datum="hae",
+        raw=raws, broadcast=broadcasts,
+    )  # fmt: skip
     return Recording(str(folder), "folder", (vehicle,), tuple(notes + odd), config)

@@ -15,9 +15,11 @@ from companion.types import (
     NS,
     AttitudeSamples,
     BaroSamples,
+    BroadcastSamples,
     GnssSamples,
     ImuSamples,
     MagSamples,
+    RawGnssSamples,
     ReferenceSamples,
     Samples,
     StreamInfo,
@@ -25,7 +27,7 @@ from companion.types import (
 )
 
 S = TypeVar("S", bound=Samples)
-Kind = Literal["imu", "gnss", "baro", "mag", "attitude", "truth", "autopilot"]
+Kind = Literal["imu", "gnss", "baro", "mag", "attitude", "raw", "truth", "autopilot"]
 
 SLOW_HZ = 20.0
 """Below it an IMU loses against any that is faster."""
@@ -161,6 +163,8 @@ def finish_vehicle(
     *,
     datum: Literal["hae", "msl"] = "hae",
     attitude: Sequence[AttitudeSamples] = (),
+    raw: Sequence[RawGnssSamples] = (),
+    broadcast: Sequence[BroadcastSamples] = (),
 ) -> tuple[VehicleRecording, list[str]]:
     """A vehicle's recording with cleaned, ranked and described streams, and what was odd.
 
@@ -185,6 +189,7 @@ def finish_vehicle(
         ("baro", pressures),
         ("mag", fields),
         ("attitude", attitudes),
+        ("raw", raw),
         ("truth", [r for r in references[:1] if r is not None]),
         ("autopilot", [r for r in references[1:] if r is not None]),
     ]
@@ -200,5 +205,7 @@ def finish_vehicle(
         datum,
         infos,
         attitude=attitudes,
+        raw=tuple(raw),
+        broadcast=tuple(broadcast),
     )
     return vehicle, notes

@@ -16,6 +16,8 @@ class RawGnss(Section):
     """``tight``: the filter takes each range, so that fewer than four satellites still aid;
     ``loose``: it takes the least-squares position and velocity of each epoch; ``off``: neither."""
     source: str = "auto"
+    clock: Literal["utc", "gps"] = "utc"
+    """Of a sensor folder's stamps: POSIX nanoseconds in UTC, or in GPS time (18 s ahead)."""
     latency_ms: float = 0.0
     """Stamp − validity of an epoch."""
     systems: tuple[Literal["gps", "galileo", "beidou"], ...] = ("gps", "galileo", "beidou")

@@ -25,6 +25,7 @@ from companion.estimation.parameters import (
     GYRO_BIAS_TAU,
 )
 from companion.estimation.process_noise import attitude_noise, bias_noise, velocity_noise
+from companion.estimation.receiver_clock import step_clock
 from companion.navigation.error_model import core_blocks, scale_blocks
 from companion.navigation.layout import (
     ACCEL_BIAS,
@@ -176,6 +177,7 @@ def _decay_and_noise(s: F64, P: F64, lay: I64, par: F64, q: F64) -> None:
         P[at + 2, at + 2] += par[GNSS_PSD_DOWN] * span
     if lay[L_BARO] >= 0:
         P[lay[L_BARO], lay[L_BARO]] += par[BARO_PSD] * T
+    step_clock(s, lay, par, T)
     qv = velocity_noise(s, par)
     attitude_noise(s, par, q)
     at = 0

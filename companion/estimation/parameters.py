@@ -44,8 +44,11 @@ from companion.types import F64, I64, NS
     LATENCY_VAR,  # of a fix's time of validity [s²]
     GYRO_VIBRATION_GAIN,  # gyro noise density per vibration of its axis, squared [1/Hz]
     DIVERGED_VAR,  # horizontal position variance beyond use [m²]
+    CLOCK_PSD,  # receiver clock: bias [m²/s], drift [(m/s)²/s]
+    CLOCK_DRIFT_PSD,
+    SYSTEM_BIAS_PSD,
     ADAPTATION_AT,  # from here on: adaptation/parameters.py
-) = range(30)
+) = range(33)
 SIZE = ADAPTATION_AT + ADAPTATION_SIZE
 
 # --- integer parameters
@@ -66,8 +69,14 @@ SIZE = ADAPTATION_AT + ADAPTATION_SIZE
     ADAPTATION,  # code of the method, see adaptation/layout.py
     SOURCE_FAULTS,
     PATIENCE_NS,
+    TIGHT,  # 1: ranges are fused, fixes only start and relock
     INT_SIZE,
-) = range(17)
+) = range(18)
+
+
+CLOCK_SD_M, CLOCK_DRIFT_SD_MPS = 1e5, 1e3
+"""A receiver's clock before the first range: its first offset is taken off, then it may have run
+away at 3 ppm for half a minute. A far larger number would cost digits of P."""
 
 
 def parameter_vector(config: Config) -> F64:
@@ -101,6 +110,9 @@ def parameter_vector(config: Config) -> F64:
     p[DIVERGED_VAR] = config.engine.diverged_position_sd_m**2
     p[VIBRATION_GAIN] = imu.vibration_gain_rthz**2
     p[GYRO_VIBRATION_GAIN] = imu.gyro_vibration_gain_rthz**2
+    p[CLOCK_PSD] = config.raw_gnss.clock_walk_m_rts**2
+    p[CLOCK_DRIFT_PSD] = config.raw_gnss.clock_drift_walk_mps_rts**2
+    p[SYSTEM_BIAS_PSD] = config.raw_gnss.system_bias_walk_m_rts**2
     p[ADAPTATION_AT:] = adaptation_vector(config.adaptation)
     return p
 
@@ -123,6 +135,7 @@ def integer_vector(config: Config) -> I64:
     k[PATIENCE_NS] = round(config.source_faults.patience_s * NS)
     k[COASTING_NS] = round(engine.coasting_after_s * NS)
     k[ADAPTATION] = method_code(config.adaptation)
+    k[TIGHT] = config.raw_gnss.coupling == "tight"
     return k
 
 
@@ -133,6 +146,7 @@ def layout(config: Config) -> Layout:
         lever=config.gnss.lever_arm_sd_m > 0,
         baro=config.baro.use,
         gnss=config.gnss.slow_error_sd_m > 0 or config.gnss.slow_error_height_sd_m > 0,
+        clock=config.raw_gnss.coupling == "tight",
     )
 
 
@@ -157,4 +171,7 @@ def initial_variances(config: Config, lay: Layout) -> F64:
     if lay.gnss >= 0:
         v[lay.gnss : lay.gnss + 2] = config.gnss.slow_error_sd_m**2
         v[lay.gnss + 2] = config.gnss.slow_error_height_sd_m**2
+    if lay.clock >= 0:
+        v[lay.clock], v[lay.clock + 1] = CLOCK_SD_M**2, CLOCK_DRIFT_SD_MPS**2
+        v[lay.clock + 2 : lay.clock + 4] = config.raw_gnss.system_bias_sd_m**2
     return v

@@ -122,7 +122,7 @@ def record_update(tape: Recorder, H: F64, gain: F64, r: float, y: float, n: int)
             mask |= 1 << j
             fine[f + F_GAIN + n + count] = H[j]
             count += 1
-    fine[f + F_MASK] = mask  # at most 28 bits: exact
+    fine[f + F_MASK] = mask  # at most 32 bits: exact
     kinds[at[KIND]] = UPDATE + count
     at[KIND] += 1
     at[FINE] = f + F_GAIN + n + count

@@ -37,6 +37,7 @@ from companion.estimation.parameters import (
     STILL_GYRO,
     STILL_NS,
     STILL_SPEED,
+    TIGHT,
     ZARU_VAR,
     ZERO_VELOCITY,
     ZUPT_VAR,
@@ -44,10 +45,12 @@ from companion.estimation.parameters import (
 from companion.estimation.source_faults import report_source, settle, undecided, weigh
 from companion.estimation.tape import RECORDER, Recorder, record_fix, record_row, record_step
 from companion.estimation.update import R_VERDICT, fuse
+from companion.gnss.corrected import S_RANGE_VAR, S_RATE_VAR, S_SYSTEM
 from companion.measurements.barometer import height
 from companion.measurements.gnss import position, velocity
 from companion.measurements.heading import direction
 from companion.measurements.non_holonomic import sideways
+from companion.measurements.pseudorange import satellite
 from companion.measurements.standstill import observe, zero_rate, zero_velocity
 from companion.navigation.error_model import box_plus
 from companion.navigation.layout import (
@@ -99,6 +102,7 @@ LOST_SPEED = 1.0
 # --- kinds of aid and columns of the aid table
 KIND_GNSS, KIND_BARO, KIND_MAG = 0, 1, 2
 KIND_ATTITUDE, KIND_IMU = 3, 4  # only the direct filter takes these
+KIND_RANGE = 5
 A_VALUE, A_VELOCITY, A_VAR, A_VAR_VELOCITY = 0, 3, 6, 9
 A_AZIMUTH = 3
 A_SATELLITES = 12  # NaN: unknown
@@ -114,6 +118,7 @@ BRIDGE_GYRO_VAR = 0.01
 
 # channels, as types.Channel
 _POS_H, _POS_V, _VEL_H, _VEL_V, _BARO, _MAG, _COURSE, _ZUPT, _ZARU, _NHC = range(10)
+_RANGE, _RATE = 18, 21  # and the systems after GPS
 
 
 @njit(
@@ -154,7 +159,9 @@ def fuse_gnss(
         s[GNSS_SPEED_SD] = math.sqrt(z[A_VAR_VELOCITY])
         s[GNSS_GROUND_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2)
         k[T_GNSS_SPEED] = t
-    for half in range(4):
+    # With ranges at hand a fix made of them says nothing new, but for the bank's sake.
+    halves = 0 if ipar[TIGHT] == 1 and ipar[BANK] == 0 else 4
+    for half in range(halves):
         vertical = half % 2 == 1
         o = A_VELOCITY if half >= 2 else A_VALUE
         v = A_VAR_VELOCITY if half >= 2 else A_VAR
@@ -225,6 +232,57 @@ def fuse_gnss(
 
 
 @njit(
+    "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[::1], i8, f8[:, ::1], f8[:, ::1],"
+    f"f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
+    cache=True,
+)
+def fuse_ranges(
+    s: F64,
+    k: I64,
+    lay: I64,
+    par: F64,
+    ipar: I64,
+    source: int,
+    z: F64,
+    t: int,
+    C: F64,
+    H: F64,
+    W: F64,
+    reports_t: I64,
+    reports: F64,
+    count: int,
+    tape: Recorder,
+) -> int:
+    """Fuse one satellite: range and rate, each behind its own gate.
+
+    Returns the number of report rows after it.
+    """
+    n = lay[L_N]
+    y, one, R = np.empty(3), np.empty(3), np.empty(3)
+    quat_to_matrix(s, C)
+    measured = satellite(s, lay, C, z, H, y)
+    for m in range(measured):
+        rate = m == 1
+        if rate:
+            # The range has moved the state: linearise anew.
+            quat_to_matrix(s, C)
+            satellite(s, lay, C, z, H, y)
+            for j in range(n):
+                H[0, j] = H[1, j]
+        one[0], R[0] = y[m], z[S_RATE_VAR if rate else S_RANGE_VAR]
+        channel = (_RATE if rate else _RANGE) + int(z[S_SYSTEM])
+        good = fuse(s, lay, par, ipar, channel, source, 0.0, H, one, R, 1, W, reports[count], tape)
+        reports_t[count] = t
+        count += 1
+        if rate:
+            if good:
+                k[T_VELOCITY_AID] = t
+        elif good:
+            k[T_POSITION_AID] = t
+    return count
+
+
+@njit(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[::1], i8, f8[:, ::1],"
     f"f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
@@ -249,6 +307,13 @@ def fuse_aid(
     """Fuse one row of the aid table; returns the number of report rows after it."""
     if kind[0] == KIND_GNSS:
         return fuse_gnss(
+            s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count, tape
+        )
+    if kind[0] == KIND_RANGE:
+        # Filters that compete on their heading take the fixes made of the ranges.
+        if ipar[BANK] == 1:
+            return count
+        return fuse_ranges(
             s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count, tape
         )
     y = np.empty(3)

@@ -96,13 +96,11 @@ class Receiver:
         now = week * 604_800.0 + tow
         if abs(now - self._place_s) > GUESS_S:
             self._place[:] = 0.0
-        sat = np.array(
-            [s if s and s // 100 - 1 in self._systems else 0 for s in raw.sat[i].tolist()],
-            np.int64,
-        )
+        at = [k for k, s in enumerate(raw.sat[i].tolist()) if s // 100 - 1 in self._systems]
+        sat = raw.sat[i, at]
         table, which, without = self.ephemerides.table(sat, week, tow)
         columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate, raw.signal)
-        observed = np.stack([x[i] for x in columns], axis=1)
+        observed: F64 = np.stack([x[i, at] for x in columns], axis=1, dtype=np.float64)
         observed[~np.isfinite(observed[:, 2]), 2] = self._noise[V_CN0]
         which[~np.isfinite(observed[:, 0])] = -1
         rows, sky = np.empty((len(sat), ROW_SIZE)), np.empty((len(sat), 2))
@@ -200,7 +198,8 @@ class Receiver:
             if self._blamed.get(s) != why:
                 name = satellite_name(s)
                 events.append(Event(t_ns, "satellite-refused", f"{name}: {why}", "warning"))
-        self._blamed = blamed
+        # What went out of sight is not news when it comes back.
+        self._blamed = {s: why for s, why in (self._blamed | blamed).items() if s not in sats}
         return tuple(events)
 
 

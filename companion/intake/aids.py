@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from companion.estimation.buffers import SampleBuffer
 from companion.intake.counters import Counters
 from companion.intake.inertial import Mounting
 from companion.intake.place import Place
+from companion.intake.ranges import SINGLE_POINT, RangeSamples
 from companion.measurements.barometer import pressure_height
 from companion.types import (
     F64,
@@ -40,6 +42,7 @@ _CHANNEL = {
     w.KIND_MAG: Channel.MAG,
     w.KIND_ATTITUDE: Channel.ATTITUDE,
     w.KIND_IMU: Channel.GYRO,
+    w.KIND_RANGE: Channel.RANGE_GPS,
 }
 """Channel under which a refusal of a whole sample is reported, by kind of aid."""
 
@@ -49,7 +52,8 @@ class Admitted:
     """Samples of one sensor as rows of the aid table."""
 
     kind: int
-    source: int
+    source: I64
+    """(N,) index of the receiver or sensor; of a range, its satellite."""
     t: I64
     rows: F64
     heads: I64
@@ -59,7 +63,7 @@ class Admitted:
 
     def take(self, rows: slice | I64 | NDArray[np.bool_]) -> Admitted:
         t, heads, index = self.t[rows], self.heads[rows], self.index[rows]
-        return Admitted(self.kind, self.source, t, self.rows[rows], heads, index)
+        return Admitted(self.kind, self.source[rows], t, self.rows[rows], heads, index)
 
     @property
     def late(self) -> NDArray[np.bool_]:
@@ -74,12 +78,13 @@ class Admitted:
                 table.insert(int(self.t[0]), self.rows[0], np.array([self.kind, self.source]))
             return
         last = table.t[table.end - 1] if len(table) else NEVER
-        key = np.array([self.kind, self.source])
-        if self.t[0] > last and np.all(self.t[1:] > self.t[:-1]):
+        key = np.stack([np.full(len(self.t), self.kind), self.source], axis=1)
+        ahead = np.diff(self.t) + (np.diff(self.source) > 0)
+        if self.t[0] > last and np.all(ahead > 0):
             table.append(self.t, self.rows, key)
         else:
             for m, t in enumerate(self.t.tolist()):
-                table.insert(t, self.rows[m], key)
+                table.insert(t, self.rows[m], key[m])
 
 
 class AidIntake:
@@ -112,7 +117,9 @@ class AidIntake:
         """Whether this unit is a measurement beside the first one, whose samples set the pace."""
         return samples.source in self._further
 
-    def admit(self, samples: AidingSamples, heads: I64, started: bool) -> Admitted | None:
+    def admit(
+        self, samples: AidingSamples | RangeSamples, heads: I64, started: bool
+    ) -> Admitted | None:
         """Samples in the aid table's terms, without those refused before the filter saw them.
 
         ``heads`` (N,): time of validity of the last inertial sample when each of them arrived;
@@ -120,7 +127,12 @@ class AidIntake:
         """
         if isinstance(samples, GnssSamples):
             kind, latency_ms = w.KIND_GNSS, self.config.gnss.latency_ms
+            if samples.source == SINGLE_POINT:
+                latency_ms = self.config.raw_gnss.latency_ms
             rows, verdict = self._gnss(samples, started)
+        elif isinstance(samples, RangeSamples):
+            kind, latency_ms = w.KIND_RANGE, self.config.raw_gnss.latency_ms
+            rows, verdict = samples.rows, np.zeros(len(samples), np.int64)
         elif isinstance(samples, BaroSamples):
             if not self.config.baro.use:
                 return None
@@ -134,15 +146,14 @@ class AidIntake:
                 return None
             kind, latency_ms = w.KIND_ATTITUDE, 0.0
             rows, verdict = self._rpy(samples)
-        else:
+        elif isinstance(samples, MagSamples):
             if not self.config.mag.use:
                 return None
             kind, latency_ms = w.KIND_MAG, self.config.mag.latency_ms
             rows, verdict = self._mag(samples)
-        index = self._sources.setdefault(type(samples).__name__, {})
-        source = index.setdefault(samples.source, len(index))
-        if kind == w.KIND_IMU:
-            source = self._further[samples.source]
+        else:
+            raise AssertionError("raw measurements are prepared before they come here")
+        source = self._source(samples)
         t = samples.t_ns - round(latency_ms * 1e6)
         behind = (heads != NEVER) & (t < heads - self._ring_ns)
         verdict[(verdict == 0) & behind] = Verdict.REFUSED_LATE
@@ -150,10 +161,19 @@ class AidIntake:
         used = np.flatnonzero(verdict == 0)
         if len(used) < len(t):
             bad = verdict != 0
-            self._refuse(kind, source, t[bad], verdict[bad])
+            self._refuse(kind, source[bad], t[bad], verdict[bad])
         if len(used) == 0:
             return None
         return Admitted(kind, source, t, rows, heads, np.arange(len(t))).take(used)
+
+    def _source(self, samples: AidingSamples | RangeSamples) -> I64:
+        """(N,) which sensor each row is of or, of ranges, which satellite."""
+        if isinstance(samples, RangeSamples):
+            return samples.sat
+        if isinstance(samples, ImuSamples):
+            return np.full(len(samples), self._further[samples.source])
+        known = self._sources.setdefault(type(samples).__name__, {})
+        return np.full(len(samples), known.setdefault(samples.source, len(known)))
 
     def waits(self, samples: MagSamples) -> bool:
         """Whether magnetometer samples wait for a first fix, for want of a declination.
@@ -165,7 +185,7 @@ class AidIntake:
         gone = self.place.hold(samples)
         if gone is not None:
             verdict = np.full(len(gone), Verdict.REFUSED_NOT_ALIGNED)
-            self._refuse(w.KIND_MAG, 0, gone.t_ns, verdict)
+            self._refuse(w.KIND_MAG, np.zeros(len(gone), np.int64), gone.t_ns, verdict)
         return True
 
     @property
@@ -241,14 +261,14 @@ class AidIntake:
         verdict[~(np.abs(samples.rpy) < 2.0 * np.pi).all(axis=1)] = Verdict.REFUSED_INVALID
         return rows, verdict
 
-    def _refuse(self, kind: int, source: int, t: I64, verdict: I64) -> None:
+    def _refuse(self, kind: int, source: I64, t: I64, verdict: I64) -> None:
         n = len(t)
         nan3, nan1 = np.full((n, 3), np.nan), np.full(n, np.nan)
         self._refusals.append(
             AidingReports(
                 t,
                 np.full(n, _CHANNEL[kind], np.int64),
-                np.full(n, source, np.int64),
+                source,
                 np.zeros(n, np.int64),
                 nan3,
                 nan3,
@@ -267,3 +287,9 @@ class AidIntake:
 def _blank(n: int) -> tuple[F64, I64]:
     """Rows of the aid table, all missing, and verdicts, all usable."""
     return np.full((n, w.AID_SIZE), np.nan), np.zeros(n, np.int64)
+
+
+def together(seq: I64, t: I64) -> list[slice]:
+    """Rows that arrived at once and are valid at once, in order: those of one epoch."""
+    cuts = np.flatnonzero((np.diff(seq) != 0) | (np.diff(t) != 0)) + 1
+    return [slice(a, b) for a, b in pairwise([0, *cuts.tolist(), len(seq)]) if b > a]

@@ -16,25 +16,21 @@ from numpy.typing import NDArray
 
 from companion.logbook.rows import varint
 from companion.types import (
+    SATELLITES,
+    AnySamples,
     AttitudeSamples,
     BaroSamples,
+    BroadcastSamples,
     GnssSamples,
     ImuSamples,
     LogFormatError,
     MagSamples,
+    RawGnssSamples,
     ReferenceSamples,
     Solution,
 )
 
-AnyColumns = (
-    ImuSamples
-    | GnssSamples
-    | BaroSamples
-    | MagSamples
-    | AttitudeSamples
-    | ReferenceSamples
-    | Solution
-)
+AnyColumns = AnySamples | ReferenceSamples | Solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +83,29 @@ GNSS = Batch(
 BARO = Batch("companion.BaroBatch", BaroSamples, (*_COMMON, Column("pressure", 5, _F)))
 MAG = Batch("companion.MagBatch", MagSamples, (*_COMMON, Column("field_b", 5, _F, (3,))))
 ATTITUDE = Batch("companion.AttitudeBatch", AttitudeSamples, (*_COMMON, Column("rpy", 5, _F, (3,))))
+_SATS = (SATELLITES,)
+RAW = Batch(
+    "companion.RawGnssBatch",
+    RawGnssSamples,
+    (
+        *_COMMON,
+        Column("week", 5, _I),
+        Column("tow", 6, _F),
+        Column("sat", 7, _I, _SATS),
+        Column("signal", 8, _I, _SATS),
+        *(
+            Column(name, number, _F, _SATS)
+            for number, name in enumerate(
+                ("pseudorange", "rate", "cn0", "sd_range", "sd_rate"), start=9
+            )
+        ),
+    ),
+)
+BROADCAST = Batch(
+    "companion.BroadcastBatch",
+    BroadcastSamples,
+    (*_COMMON, Column("sat", 5, _I), Column("values", 6, _F, (28,))),
+)
 REFERENCE = Batch(
     "companion.ReferenceBatch",
     ReferenceSamples,

@@ -35,12 +35,14 @@ from companion.types import (
     AnySamples,
     AttitudeSamples,
     BaroSamples,
+    BroadcastSamples,
     Event,
     GnssSamples,
     Health,
     ImuSamples,
     MagSamples,
     Outputs,
+    RawGnssSamples,
     ReferenceSamples,
     Smoothed,
     Solution,
@@ -60,6 +62,8 @@ _INPUTS: dict[type, tuple[str, Batch]] = {
     BaroSamples: ("baro", columns.BARO),
     MagSamples: ("mag", columns.MAG),
     AttitudeSamples: ("attitude", columns.ATTITUDE),
+    RawGnssSamples: ("raw", columns.RAW),
+    BroadcastSamples: ("broadcast", columns.BROADCAST),
 }
 _LEVEL = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 
@@ -131,7 +135,7 @@ class LogWriter:
     def describe(self, vehicle: VehicleRecording) -> None:
         """Write what is known of a vehicle: datum, streams and their order of preference."""
         info = run_pb2.VehicleInfo(name=vehicle.name, height_datum=vehicle.height_datum)
-        for kind in ("imu", "gnss", "baro", "mag", "attitude"):
+        for kind in ("imu", "gnss", "baro", "mag", "attitude", "raw", "broadcast"):
             for samples in getattr(vehicle, kind):
                 info.order.add(kind=kind, source=samples.source)
         for kind in ("truth", "autopilot"):
@@ -150,7 +154,7 @@ class LogWriter:
             )
         starts = [
             int(s.t_rx_ns[0])
-            for kind in ("imu", "gnss", "baro", "mag", "attitude")
+            for kind in ("imu", "gnss", "baro", "mag", "attitude", "raw", "broadcast")
             for s in getattr(vehicle, kind)
             if len(s)
         ]

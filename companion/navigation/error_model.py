@@ -24,6 +24,7 @@ from companion.navigation.layout import (
     ACCEL_SCALE_B,
     ATT,
     BARO_BIAS,
+    CLOCK,
     EARTH_RATE,
     GNSS_BIAS,
     GYRO_BIAS,
@@ -32,6 +33,7 @@ from companion.navigation.layout import (
     HEIGHT,
     L_ACCEL_SCALE,
     L_BARO,
+    L_CLOCK,
     L_GNSS,
     L_GYRO_SCALE,
     L_LEVER,
@@ -78,6 +80,9 @@ def box_plus(s: F64, lay: I64, dx: F64) -> None:
             s[GNSS_BIAS + i] += dx[lay[L_GNSS] + i]
     if lay[L_BARO] >= 0:
         s[BARO_BIAS] += dx[lay[L_BARO]]
+    if lay[L_CLOCK] >= 0:
+        for i in range(4):
+            s[CLOCK + i] += dx[lay[L_CLOCK] + i]
 
 
 @njit("void(f8[::1], f8[:, :, ::1])", cache=True)

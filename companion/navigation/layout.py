@@ -26,25 +26,26 @@ GYRO_SCALE_B = 19  # (3)
 LEVER_B = 22  # (3) IMU to antenna
 BARO_BIAS = 25  # pressure height − height
 GNSS_BIAS = 26  # (3) slow error of the receiver's position, NED
+CLOCK = 29  # (4) receiver clock [m] and drift [m/s]; biases of Galileo and BeiDou against GPS [m]
 # --- previous inertial sample as measured
-LAST_GYRO = 29  # (3)
-LAST_ACCEL = 32  # (3)
+LAST_GYRO = 33  # (3)
+LAST_ACCEL = 36  # (3)
 # --- sums over the running covariance interval
-SUM_T = 35  # T
-SUM_V = 36  # (3) ∫ f_n dt
-SUM_P = 39  # (3) ∫∫ f_n dt dt
-SUM_C = 42  # (9) ∫ C_nb dt
-SUM_CF = 51  # (9) ∫ C_nb diag(f) dt
-SUM_CW = 60  # (9) ∫ C_nb diag(ω) dt
-SUM_XV = 69  # extra velocity variance of bridged gaps [m²/s²]
-SUM_XA = 70  # extra attitude variance of bridged gaps [rad²]
+SUM_T = 39  # T
+SUM_V = 40  # (3) ∫ f_n dt
+SUM_P = 43  # (3) ∫∫ f_n dt dt
+SUM_C = 46  # (9) ∫ C_nb dt
+SUM_CF = 55  # (9) ∫ C_nb diag(f) dt
+SUM_CW = 64  # (9) ∫ C_nb diag(ω) dt
+SUM_XV = 73  # extra velocity variance of bridged gaps [m²/s²]
+SUM_XA = 74  # extra attitude variance of bridged gaps [rad²]
 # --- running likelihood of the aiding, for the bank over headings
-LOG_LIKELIHOOD = 71
+LOG_LIKELIHOOD = 75
 # --- Earth rotation rate in force [rad/s]: earth.RATE; its negative where time runs backwards
-EARTH_RATE = 72
+EARTH_RATE = 76
 # --- total error state in feedforward mode
-DX = 73  # (MAX_STATES)
-MAX_STATES = 28
+DX = 77  # (MAX_STATES)
+MAX_STATES = 32
 # --- last GNSS speed, for the standstill veto and COASTING
 GNSS_SPEED = DX + MAX_STATES
 GNSS_SPEED_SD = GNSS_SPEED + 1
@@ -67,7 +68,7 @@ SOURCE = VIBRATION + 7
 SOURCE_SIZE = 19
 # --- adaptation: what is in force, and what it is drawn from (see estimation/adaptation)
 R_SCALE = SOURCE + 2 * SOURCE_SIZE  # factor on R, one a channel
-CHANNELS = 10
+CHANNELS = 16
 Q_SCALE = R_SCALE + CHANNELS  # factor on the noise of the inertial unit
 ALPHA = Q_SCALE + 1  # exponential weight of the running epoch of aiding
 RECEPTION = ALPHA + 1  # share of it lost, usual number of satellites, usual variance
@@ -103,7 +104,7 @@ POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
 CORE_STATES = 15
 
 # --- entries of the layout vector handed to kernels
-L_N, L_ACCEL_SCALE, L_GYRO_SCALE, L_LEVER, L_BARO, L_GNSS = 0, 1, 2, 3, 4, 5
+L_N, L_ACCEL_SCALE, L_GYRO_SCALE, L_LEVER, L_BARO, L_GNSS, L_CLOCK = range(7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,18 +117,23 @@ class Layout:
     lever: int
     baro: int
     gnss: int
+    clock: int
 
     @classmethod
-    def build(cls, *, scale: bool, lever: bool, baro: bool, gnss: bool) -> Layout:
+    def build(
+        cls, *, scale: bool, lever: bool, baro: bool, gnss: bool, clock: bool = False
+    ) -> Layout:
         """Lay out the chosen optional states behind the fifteen of the core."""
         at = CORE_STATES
-        index = dict.fromkeys(("accel_scale", "gyro_scale", "lever", "baro", "gnss"), -1)
+        names = ("accel_scale", "gyro_scale", "lever", "baro", "gnss", "clock")
+        index = dict.fromkeys(names, -1)
         for name, wanted, size in (
             ("accel_scale", scale, 3),
             ("gyro_scale", scale, 3),
             ("lever", lever, 3),
             ("baro", baro, 1),
             ("gnss", gnss, 3),
+            ("clock", clock, 4),
         ):
             if wanted:
                 index[name] = at
@@ -141,7 +147,5 @@ class Layout:
 
     def vector(self) -> I64:
         """For kernels: n and the optional indices, by the ``L_`` names."""
-        return np.array(
-            [self.n, self.accel_scale, self.gyro_scale, self.lever, self.baro, self.gnss],
-            dtype=np.int64,
-        )
+        optional = (self.accel_scale, self.gyro_scale, self.lever, self.baro, self.gnss, self.clock)
+        return np.array([self.n, *optional], dtype=np.int64)

@@ -115,6 +115,12 @@ class AidingReport(_message.Message):
         ACCELEROMETER: _ClassVar[AidingReport.Channel]
         SOURCE_H: _ClassVar[AidingReport.Channel]
         SOURCE_V: _ClassVar[AidingReport.Channel]
+        RANGE_GPS: _ClassVar[AidingReport.Channel]
+        RANGE_GALILEO: _ClassVar[AidingReport.Channel]
+        RANGE_BEIDOU: _ClassVar[AidingReport.Channel]
+        RATE_GPS: _ClassVar[AidingReport.Channel]
+        RATE_GALILEO: _ClassVar[AidingReport.Channel]
+        RATE_BEIDOU: _ClassVar[AidingReport.Channel]
     GNSS_POSITION_H: AidingReport.Channel
     GNSS_POSITION_V: AidingReport.Channel
     GNSS_VELOCITY_H: AidingReport.Channel
@@ -130,6 +136,12 @@ class AidingReport(_message.Message):
     ACCELEROMETER: AidingReport.Channel
     SOURCE_H: AidingReport.Channel
     SOURCE_V: AidingReport.Channel
+    RANGE_GPS: AidingReport.Channel
+    RANGE_GALILEO: AidingReport.Channel
+    RANGE_BEIDOU: AidingReport.Channel
+    RATE_GPS: AidingReport.Channel
+    RATE_GALILEO: AidingReport.Channel
+    RATE_BEIDOU: AidingReport.Channel
     class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         ACCEPTED: _ClassVar[AidingReport.Verdict]

@@ -93,6 +93,52 @@ class AttitudeBatch(_message.Message):
     rpy: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., rpy: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class RawGnssBatch(_message.Message):
+    __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "week", "tow", "sat", "signal", "pseudorange", "rate", "cn0", "sd_range", "sd_rate")
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    T_RX_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WEEK_FIELD_NUMBER: _ClassVar[int]
+    TOW_FIELD_NUMBER: _ClassVar[int]
+    SAT_FIELD_NUMBER: _ClassVar[int]
+    SIGNAL_FIELD_NUMBER: _ClassVar[int]
+    PSEUDORANGE_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    CN0_FIELD_NUMBER: _ClassVar[int]
+    SD_RANGE_FIELD_NUMBER: _ClassVar[int]
+    SD_RATE_FIELD_NUMBER: _ClassVar[int]
+    source: str
+    t_ns: _containers.RepeatedScalarFieldContainer[int]
+    t_rx_ns: _containers.RepeatedScalarFieldContainer[int]
+    seq: _containers.RepeatedScalarFieldContainer[int]
+    week: _containers.RepeatedScalarFieldContainer[int]
+    tow: _containers.RepeatedScalarFieldContainer[float]
+    sat: _containers.RepeatedScalarFieldContainer[int]
+    signal: _containers.RepeatedScalarFieldContainer[int]
+    pseudorange: _containers.RepeatedScalarFieldContainer[float]
+    rate: _containers.RepeatedScalarFieldContainer[float]
+    cn0: _containers.RepeatedScalarFieldContainer[float]
+    sd_range: _containers.RepeatedScalarFieldContainer[float]
+    sd_rate: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., week: _Optional[_Iterable[int]] = ..., tow: _Optional[_Iterable[float]] = ..., sat: _Optional[_Iterable[int]] = ..., signal: _Optional[_Iterable[int]] = ..., pseudorange: _Optional[_Iterable[float]] = ..., rate: _Optional[_Iterable[float]] = ..., cn0: _Optional[_Iterable[float]] = ..., sd_range: _Optional[_Iterable[float]] = ..., sd_rate: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class BroadcastBatch(_message.Message):
+    __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "sat", "values")
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    T_RX_NS_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    SAT_FIELD_NUMBER: _ClassVar[int]
+    VALUES_FIELD_NUMBER: _ClassVar[int]
+    source: str
+    t_ns: _containers.RepeatedScalarFieldContainer[int]
+    t_rx_ns: _containers.RepeatedScalarFieldContainer[int]
+    seq: _containers.RepeatedScalarFieldContainer[int]
+    sat: _containers.RepeatedScalarFieldContainer[int]
+    values: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., sat: _Optional[_Iterable[int]] = ..., values: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class ReferenceBatch(_message.Message):
     __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "lat", "lon", "height", "vel_n", "rpy")
     SOURCE_FIELD_NUMBER: _ClassVar[int]

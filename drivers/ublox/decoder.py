@@ -15,7 +15,7 @@ from companion.gnss.messages.d1 import D1
 from companion.gnss.messages.inav import Inav
 from companion.gnss.messages.lnav import Lnav
 from companion.gnss.orbit import EPHEMERIS_SIZE
-from companion.types import F64, I64, BroadcastSamples, GnssSamples, RawGnssSamples
+from companion.types import F64, I64, SATELLITES, BroadcastSamples, GnssSamples, RawGnssSamples
 from drivers.ublox.framer import Frame, Framer
 from drivers.ublox.messages import NAV_PVT, RXM_RAWX, RXM_SFRBX, Pvt, pvt, raw_epoch, subframe
 
@@ -88,10 +88,14 @@ class UbxDecoder:
         self._time = (epoch.week, epoch.tow)
         self.leap_s = epoch.leap_s if epoch.leap_s is not None else self.leap_s
         self.counters.epochs += 1
+        count = min(len(epoch.sat), SATELLITES)
+        sat, signal = np.zeros((2, 1, SATELLITES), np.int64)
+        sat[0, :count], signal[0, :count] = epoch.sat[:count], epoch.signal[:count]
+        columns = np.full((5, 1, SATELLITES), np.nan)
+        columns[:, 0, :count] = epoch.columns[:, :count]
         return RawGnssSamples(
             self.source, *self._stamps(epoch.week, epoch.tow), np.array([epoch.week], np.int64),
-            np.array([epoch.tow]), epoch.sat[None], epoch.signal[None],
-            *(column[None] for column in epoch.columns),
+            np.array([epoch.tow]), sat, signal, *columns,
         )  # fmt: skip
 
     def _subframe(self, payload: bytes) -> BroadcastSamples | None:

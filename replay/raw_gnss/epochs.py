@@ -10,7 +10,7 @@ import numpy as np
 from companion.gnss.gps_time import gps_ns
 from companion.gnss.orbit import EPHEMERIS_SIZE
 from companion.gnss.systems import SYSTEMS
-from companion.types import F64, BroadcastSamples, RawGnssSamples
+from companion.types import F64, SATELLITES, BroadcastSamples, RawGnssSamples
 
 RANGE_LIMIT_M = (1.5e7, 6.0e7)
 """No satellite is nearer or further, receiver clock included (±50 ms)."""
@@ -51,12 +51,11 @@ def possible(o: Observation) -> bool:
 
 def raw_samples(source: str, epochs: Sequence[Epoch]) -> RawGnssSamples:
     """Epochs as columns; ``t_ns`` and ``t_rx_ns`` are nanoseconds of GPS time."""
-    width = max((len(e.satellites) for e in epochs), default=0)
-    sat = np.zeros((len(epochs), width), np.int64)
+    sat = np.zeros((len(epochs), SATELLITES), np.int64)
     signal = np.zeros_like(sat)
-    columns = np.full((5, len(epochs), width), np.nan)
+    columns = np.full((5, len(epochs), SATELLITES), np.nan)
     for i, epoch in enumerate(epochs):
-        for j, o in enumerate(epoch.satellites):
+        for j, o in enumerate(epoch.satellites[:SATELLITES]):
             sat[i, j], signal[i, j] = o.sat, o.signal
             columns[:, i, j] = o.pseudorange, o.rate, o.cn0, o.sd_range, o.sd_rate
     t = np.array([gps_ns(e.week, e.tow) for e in epochs], np.int64)

@@ -60,7 +60,8 @@ def _epoch(raw: RawGnssSamples) -> Epoch:
     columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate)
     rows = zip(raw.sat[0].tolist(), *(c[0].tolist() for c in columns), raw.signal[0].tolist(),
                strict=True)  # fmt: skip
-    return Epoch(int(raw.week[0]), float(raw.tow[0]), [Observation(*row) for row in rows])
+    satellites = [Observation(*row) for row in rows if row[0]]
+    return Epoch(int(raw.week[0]), float(raw.tow[0]), satellites)
 
 
 def _all(fixes: list[GnssSamples]) -> GnssSamples | None:

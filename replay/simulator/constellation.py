@@ -48,7 +48,7 @@ from companion.gnss.systems import (
     C,
     satellite,
 )
-from companion.types import F64, I64, BroadcastSamples, RawGnssSamples
+from companion.types import F64, I64, SATELLITES, BroadcastSamples, RawGnssSamples
 
 PLANES = {
     GPS: (6, 5, 26_560e3, 55.0),
@@ -247,17 +247,15 @@ def _broadcast(t_ns: I64, table: F64) -> BroadcastSamples:
 def _columns(
     t_ns: I64, week: int, seconds: F64, sats: I64, ranges: F64, rates: F64
 ) -> RawGnssSamples:
-    """One entry a satellite, whichever of its ephemerides the range was made with."""
-    names = np.unique(sats)
+    """What is above the horizon, epoch by epoch."""
     n = len(t_ns)
-    sat = np.zeros((n, len(names)), np.int64)
-    out = np.full((2, n, len(names)), np.nan)
-    for j, name in enumerate(names):
-        for k in np.flatnonzero(sats == name):
-            seen = np.isfinite(ranges[:, k])
-            sat[seen, j] = name
-            out[0, seen, j], out[1, seen, j] = ranges[seen, k], rates[seen, k]
-    none = np.full((n, len(names)), np.nan)
+    sat = np.zeros((n, SATELLITES), np.int64)
+    out = np.full((2, n, SATELLITES), np.nan)
+    for i in range(n):
+        seen = np.flatnonzero(np.isfinite(ranges[i]))
+        sat[i, : len(seen)] = sats[seen]
+        out[0, i, : len(seen)], out[1, i, : len(seen)] = ranges[i, seen], rates[i, seen]
+    none = np.full((n, SATELLITES), np.nan)
     return RawGnssSamples(
         "constellation", t_ns, t_ns, np.arange(n, dtype=np.int64), np.full(n, week, np.int64),
         seconds, sat, np.zeros_like(sat), out[0], out[1], np.where(sat > 0, 45.0, np.nan),

@@ -1,0 +1,124 @@
+"""Raw GNSS on its way in: what a receiver measured, as fixes and as corrected satellites.
+
+Ephemerides and epochs are taken in the receiver's own order, whatever else arrives between them:
+the corrections depend on its stream alone, and a block gives what its arrivals give one by one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.config import Config
+from companion.gnss.corrected import ROW_SIZE, S_SAT
+from companion.gnss.geometry import geodetic, ned_axes
+from companion.gnss.receiver import Prepared, Receiver
+from companion.gnss.single_point import P_COV, P_COV_VEL, P_POS, P_VEL
+from companion.types import (
+    F64,
+    I64,
+    AidingSamples,
+    BroadcastSamples,
+    Event,
+    GnssSamples,
+    RawGnssSamples,
+    Samples,
+)
+
+SINGLE_POINT = "single point"
+"""Source of the fixes that are made of the ranges here."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeSamples(Samples):
+    """Corrected satellites: rows of an epoch one behind the other, with its time and number."""
+
+    rows: F64
+    """(N, 12) columns ``S_`` of :mod:`companion.gnss.corrected`."""
+
+    @property
+    def sat(self) -> I64:
+        """(N,) which satellite."""
+        return self.rows[:, S_SAT].astype(np.int64)
+
+
+class RangeIntake:
+    """Turns one receiver's raw stream into what the aid table takes."""
+
+    def __init__(self, config: Config) -> None:
+        self.receiver = Receiver(config.raw_gnss)
+        self._coupling = config.raw_gnss.coupling
+
+    @property
+    def on(self) -> bool:
+        """Whether raw measurements are used; other fixes are not, then: they are the same news."""
+        return self._coupling != "off"
+
+    def take(
+        self, arrivals: Sequence[AidingSamples]
+    ) -> tuple[list[AidingSamples | RangeSamples], list[Event]]:
+        """``arrivals`` with fixes and ranges in place of raw measurements, and what to say."""
+        raw = [a for a in arrivals if isinstance(a, RawGnssSamples | BroadcastSamples)]
+        others = [a for a in arrivals if not isinstance(a, RawGnssSamples | BroadcastSamples)]
+        if not self.on:
+            return [*others], []
+        prepared: list[tuple[Prepared, RawGnssSamples, int]] = []
+        order = [(int(seq), n, m) for n, a in enumerate(raw) for m, seq in enumerate(a.seq)]
+        for _, n, m in sorted(order):
+            arrival = raw[n]
+            if isinstance(arrival, BroadcastSamples):
+                self.receiver.listen(arrival.take(slice(m, m + 1)))
+            else:
+                prepared.append((self.receiver.take(arrival, m), arrival, m))
+        others = [a for a in others if not isinstance(a, GnssSamples)]
+        made: list[AidingSamples | RangeSamples] = [*others]
+        fixes = [(p.point, a, m) for p, a, m in prepared if p.point is not None]
+        if fixes:
+            made.append(_fixes(fixes))
+        if self._coupling == "tight" and any(len(p.rows) for p, _, _ in prepared):
+            made.append(_ranges(prepared))
+        return made, [event for p, _, _ in prepared for event in p.events]
+
+
+def _stamps(arrival: RawGnssSamples, m: int) -> tuple[int, int, int]:
+    return int(arrival.t_ns[m]), int(arrival.t_rx_ns[m]), int(arrival.seq[m])
+
+
+def _ranges(prepared: list[tuple[Prepared, RawGnssSamples, int]]) -> RangeSamples:
+    """Satellites of each epoch by number, the order in which they are fused."""
+    stamps, rows = [], []
+    for p, arrival, m in prepared:
+        rows.append(p.rows[np.argsort(p.rows[:, S_SAT], kind="stable")])
+        stamps += [_stamps(arrival, m)] * len(p.rows)
+    t, rx, seq = np.array(stamps, np.int64).reshape(-1, 3).T
+    every = np.concatenate(rows).reshape(-1, ROW_SIZE)
+    return RangeSamples(prepared[0][1].source, t.copy(), rx.copy(), seq.copy(), every)
+
+
+def _fixes(points: list[tuple[F64, RawGnssSamples, int]]) -> GnssSamples:
+    """Least-squares solutions as fixes, with the deviations that they state."""
+    n = len(points)
+    place, vel, sd_pos, sd_vel = np.empty((4, n, 3))
+    axes = np.empty((3, 3))
+    for i, (point, _, _) in enumerate(points):
+        geodetic(point[P_POS], point[P_POS + 1], point[P_POS + 2], place[i])
+        ned_axes(place[i, 0], place[i, 1], axes)
+        for j in range(3):
+            vel[i, j] = sum(axes[j, k] * point[P_VEL + k] for k in range(3))
+        for out, at in ((sd_pos, P_COV), (sd_vel, P_COV_VEL)):
+            for j in range(3):
+                var = sum(
+                    axes[j, a] * point[at + 3 * a + b] * axes[j, b]
+                    for a in range(3)
+                    for b in range(3)
+                )
+                out[i, j] = math.sqrt(var) if var > 0 else math.nan
+    stamps = np.array([_stamps(a, m) for _, a, m in points], np.int64).T
+    return GnssSamples(
+        SINGLE_POINT, stamps[0].copy(), stamps[1].copy(), stamps[2].copy(),
+        place[:, 0].copy(), place[:, 1].copy(), place[:, 2].copy(), vel, sd_pos, sd_vel,
+        np.full(n, -1, np.int64), np.full(n, 3, np.int64),
+    )  # fmt: skip

@@ -1,0 +1,91 @@
+"""``raw_gnss/`` of a sensor folder: one receiver's raw measurements and navigation messages.
+
+RINEX observation and navigation files, u-blox ``.ubx``, GnssLogger ``.txt``. All that the files
+broadcast is known from the start, as to whoever works on a recording afterwards; live, and in the
+log of a live run, messages come when they come.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, leap_seconds
+from companion.types import (
+    NS,
+    BroadcastSamples,
+    LogFormatError,
+    RawGnssSamples,
+    Samples,
+)
+from replay.raw_gnss.android import read_gnss_logger
+from replay.raw_gnss.rinex_navigation import read_navigation
+from replay.raw_gnss.rinex_observations import read_observations, text_lines, version_and_type
+from replay.raw_gnss.ubx import read_ubx
+
+Clock = Literal["utc", "gps"]
+S = TypeVar("S", bound=Samples)
+
+
+@dataclass(frozen=True, slots=True)
+class RawFolder:
+    """What a folder of raw GNSS holds, on the recording's clock; unnumbered."""
+
+    raw: RawGnssSamples
+    broadcast: BroadcastSamples
+    notes: tuple[str, ...]
+
+
+def read_raw_folder(folder: Path, clock: Clock) -> RawFolder:
+    """Read every file of ``folder``; its stamps are of a POSIX clock that runs on ``clock`` time.
+
+    Raises :class:`LogFormatError` where a file is none of the formats or broken, where there are
+    several receivers, and where measurements or navigation messages are missing.
+    """
+    raws: list[RawGnssSamples] = []
+    broadcasts: list[BroadcastSamples] = []
+    notes: list[str] = []
+    for path in sorted(p for p in folder.iterdir() if p.is_file() and p.suffix != ".md"):
+        if path.suffix.lower() == ".ubx":
+            raw, broadcast, _, said = read_ubx(path)
+            raws.append(raw)
+            broadcasts.append(broadcast)
+        elif path.suffix.lower() == ".txt":
+            raw, said = read_gnss_logger(path)
+            raws.append(raw)
+        elif version_and_type(path, text_lines(path)[:1])[1] == "O":
+            raw, said = read_observations(path)
+            raws.append(raw)
+        else:
+            broadcast, said = read_navigation(path)
+            broadcasts.append(broadcast)
+        notes += said
+    if len(raws) != 1:
+        names = ", ".join(r.source for r in raws) or "none"
+        raise LogFormatError(f"{folder}: measurements of one receiver are expected; there: {names}")
+    if not any((b.sat > 0).any() for b in broadcasts):
+        raise LogFormatError(f"{folder}: no ephemerides; a navigation file is missing")
+    raw = on_clock(raws[0], clock)
+    return RawFolder(raw, _from_the_start(broadcasts, int(raw.t_rx_ns[0])), tuple(notes))
+
+
+def on_clock(samples: S, clock: Clock) -> S:
+    """GPS time stamps as those of a POSIX clock in UTC, or in GPS time without leap seconds."""
+    seconds = samples.t_ns[0] / NS if len(samples) else 0.0
+    late = GPS_EPOCH_POSIX_S - (leap_seconds(seconds) if clock == "utc" else 0)
+    moved: S = replace(samples, t_ns=samples.t_ns + late * NS, t_rx_ns=samples.t_rx_ns + late * NS)
+    return moved
+
+
+def _from_the_start(parts: list[BroadcastSamples], t_ns: int) -> BroadcastSamples:
+    """All messages at once, each but once."""
+    sat = np.concatenate([p.sat for p in parts])
+    values = np.concatenate([p.values for p in parts])
+    _, first = np.unique(np.column_stack([sat, values]), axis=0, return_index=True)
+    keep = np.sort(first)
+    t = np.full(len(keep), t_ns, np.int64)
+    number = np.arange(len(keep), dtype=np.int64)
+    return BroadcastSamples(parts[0].source, t, t, number, sat[keep], values[keep])
