@@ -25,6 +25,7 @@ from companion.types import (
     AnySamples,
     BaroSamples,
     BroadcastSamples,
+    ConfigError,
     Event,
     GnssSamples,
     ImuSamples,
@@ -90,6 +91,10 @@ def record(
     imu = choose_imu(vehicle, config)
     ring_ns = round(config.engine.delay_ring_s * NS)
     aids = [_in_time(a, imu, config, ring_ns) for a in choose_aids(vehicle, config)]
+    if config.raw_gnss.coupling == "tight":
+        raise ConfigError(
+            "key 'raw_gnss.coupling': 'tight' runs cannot be smoothed yet; 'loose' ones can"
+        )
     sessions = _sessions(imu)
     engine = Engine(config, _recording(covariance, tape, inputs))
     settled: list[Solution] = []

@@ -103,10 +103,9 @@ def test_steps_of_the_clock_are_taken_off_with_many_satellites_and_with_two() ->
         tow=sky.raw.tow + jump[:, 0] / 299_792_458.0,
     )
     plain = _run(sky)
-    few = replace(stepped, sat=np.where(np.arange(stepped.sat.shape[1]) < 24, 0, stepped.sat)).take(
-        slice(15, 30)
-    )
-    few = replace(few, sat=np.where(np.cumsum(few.sat > 0, axis=1) <= 2, few.sat, 0))
+    few = stepped.take(slice(15, 30))
+    two = np.isin(np.arange(few.sat.shape[1]), (8, 9))
+    few = replace(few, sat=np.where(two, few.sat, 0))
     for raw in (stepped, few):
         receiver = Receiver(RawGnss())
         receiver.listen(sky.broadcast)

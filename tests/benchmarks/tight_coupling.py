@@ -1,0 +1,109 @@
+"""Loose against tight coupling on a real walk, in the open and with satellites withheld.
+
+Run as ``python -m tests.benchmarks.tight_coupling``. The truth is the receiver's own RTK solution;
+its base station stands some 8 m off, so the mean error in the open is taken off both. Errors inside
+the windows are horizontal, 3-D for both is beside it. Withheld: all but the n highest satellites at
+the window's start, of all systems.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from companion.config import Config, RawGnss, parse
+from companion.gnss.corrected import S_SAT
+from companion.gnss.receiver import Receiver
+from companion.navigation.earth import ned_difference
+from companion.types import F64, I64, NS, Outputs, RawGnssSamples, Solution, VehicleRecording
+from replay.player import play
+from tests.benchmarks.walk_recording import CONFIG, walk
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rtk-walk"
+STARTS_S = (45.0, 60.0, 75.0, 90.0)
+"""After the first inertial sample: heading is found by 25 s."""
+LENGTHS_S = (10.0, 20.0, 30.0)
+LEFT = (3, 2, 1, 0)
+OPEN_S = 30.0
+
+
+def highest(vehicle: VehicleRecording, t_ns: int, count: int) -> I64:
+    """The ``count`` satellites that stand highest at ``t_ns``."""
+    receiver = Receiver(RawGnss())
+    receiver.listen(vehicle.broadcast[0])
+    raw = vehicle.raw[0]
+    upto = int(np.searchsorted(raw.t_ns, t_ns))
+    for i in range(max(upto - 2, 0), upto + 1):
+        seen = receiver.take(raw, i)
+    order = np.argsort(-seen.sky[:, 1])
+    return seen.rows[order[:count], S_SAT].astype(np.int64)
+
+
+def withheld(vehicle: VehicleRecording, begin: int, end: int, keep: I64) -> VehicleRecording:
+    """Only the satellites ``keep`` between two times."""
+    raw = vehicle.raw[0]
+    inside = (raw.t_ns >= begin) & (raw.t_ns < end)
+    gone = inside[:, None] & ~np.isin(raw.sat, keep)
+    part: RawGnssSamples = replace(raw, sat=np.where(gone, 0, raw.sat))
+    return replace(vehicle, raw=(part,))
+
+
+def errors(vehicle: VehicleRecording, config: Config) -> tuple[I64, F64]:
+    """Times and NED errors (N, 3) [m] of the published solution."""
+    parts: list[Solution] = []
+
+    def keep(_: object, out: Outputs) -> None:
+        if len(out.published):
+            parts.append(out.published)
+
+    play(vehicle, config, keep)
+    s, truth = Solution.concatenate(parts), vehicle.truth
+    assert truth is not None
+    known = (s.t_ns >= truth.t_ns[0]) & (s.t_ns <= truth.t_ns[-1])
+    s = s.take(np.flatnonzero(known))
+    at = [np.interp(s.t_ns, truth.t_ns, x) for x in (truth.lat, truth.lon, truth.height)]
+    return s.t_ns, ned_difference(s.lat, s.lon, s.height, *at)
+
+
+def main() -> None:
+    vehicle = walk(DATA)
+    origin = int(vehicle.imu[0].t_ns[0])
+    configs = {name: parse(CONFIG.format(coupling=name)) for name in ("loose", "tight")}
+    offset: dict[str, F64] = {}
+    print("In the open, about the mean (the base station's offset)")
+    print(f"{'':8}{'offset N E D m':>24}{'horizontal RMS m':>18}{'3-D RMS m':>12}")
+    for name, config in configs.items():
+        t, e = errors(vehicle, config)
+        late = t > origin + round(OPEN_S * NS)
+        offset[name] = e[late].mean(axis=0)
+        d = e[late] - offset[name]
+        h, r = np.sqrt((d[:, :2] ** 2).sum(1).mean()), np.sqrt((d**2).sum(1).mean())
+        place = " ".join(f"{x:.2f}" for x in offset[name])
+        print(f"{name:8}{place:>24}{h:18.2f}{r:12.2f}")
+    print("\nSatellites withheld: largest and RMS horizontal error inside, mean over the windows")
+    head = "".join(f"{f'{n} max':>12}{f'{n} RMS':>12}" for n in configs)
+    print(f"{'left':>5}{'for s':>7}{'windows':>9}{head}   tight better in")
+    for left in LEFT:
+        for length in LENGTHS_S:
+            found: dict[str, list[tuple[float, float]]] = {n: [] for n in configs}
+            for start in STARTS_S:
+                begin = origin + round(start * NS)
+                end = begin + round(length * NS)
+                part = withheld(vehicle, begin, end, highest(vehicle, begin, left))
+                for name, config in configs.items():
+                    t, e = errors(part, config)
+                    inside = (t >= begin) & (t < end)
+                    h = np.hypot(*(e[inside] - offset[name])[:, :2].T)
+                    found[name].append((float(h.max()), float(np.sqrt((h**2).mean()))))
+            mean = {n: np.mean(v, axis=0) for n, v in found.items()}
+            wins = sum(a[0] < b[0] for a, b in zip(found["tight"], found["loose"], strict=True))
+            cells = "".join(f"{m[0]:12.2f}{m[1]:12.2f}" for m in mean.values())
+            print(f"{left:5d}{length:7.0f}{len(STARTS_S):9d}{cells}   {wins} of {len(STARTS_S)}")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
