@@ -547,10 +547,11 @@ def watch(
 @app.command(no_args_is_help=True)
 def reproduce(
     paper: Annotated[
-        Literal["kamil", "duong", "yu"],
+        Literal["kamil", "duong", "sasiadek", "yu"],
         typer.Argument(
             metavar="PAPER",
-            help="kamil: two-filter smoothing; duong: smoothing on line; yu: direct filter.",
+            help="kamil: two-filter smoothing; duong: smoothing on line; sasiadek: pseudoranges, "
+            "best four by GDOP; yu: direct filter.",
         ),
     ],
     output: Annotated[

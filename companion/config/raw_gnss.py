@@ -35,6 +35,8 @@ class RawGnss(Section):
     choice: Literal["all", "best"] = "all"
     """``best``: only the ``best_of`` satellites with the smallest GDOP, over all combinations."""
     best_of: int = 4
+    best_margin: float = 0.1
+    """A set is kept until another's GDOP is smaller by more than this part of it."""
     exclude: bool = True
     """Leave out satellites whose range contradicts the others, epoch by epoch."""
     clock_walk_m_rts: float = 0.1
@@ -59,5 +61,6 @@ def check_raw_gnss(raw: RawGnss) -> None:
     within("raw_gnss.iono_residual", raw.iono_residual, 0.0, 1.0, "a part")
     within("raw_gnss.elevation_mask_deg", raw.elevation_mask_deg, 0.0, 60.0, "degrees")
     within("raw_gnss.best_of", raw.best_of, 4, 12, "satellites")
+    within("raw_gnss.best_margin", raw.best_margin, 0.0, 1.0, "a part")
     if not raw.systems:
         raise ConfigError("key 'raw_gnss.systems': at least one of 'gps', 'galileo', 'beidou'")

@@ -30,7 +30,7 @@ from companion.gnss.corrected import (
     correct,
     expected_range,
 )
-from companion.gnss.geometry import best_set, dilution, geodetic
+from companion.gnss.geometry import NO_DOP, best_set, dilution, geodetic
 from companion.gnss.single_point import P_CLOCK, P_POS, P_RATE, POINT_SIZE, SOLVED, TOO_FEW, solve
 from companion.gnss.systems import SYSTEM_NAMES, satellite_name
 from companion.types import F64, I64, BroadcastSamples, Event, RawGnssSamples
@@ -171,8 +171,17 @@ class Receiver:
             return everyone
         best = np.empty(count, np.int64)
         systems = rows[:, S_SYSTEM].astype(np.int64)
-        found = best_set(_lines(sky), systems, len(rows), count, best)
-        return best if found < 1e3 else everyone
+        lines = _lines(sky)
+        found = best_set(lines, systems, len(rows), count, best)
+        if found >= NO_DOP:
+            return everyone
+        old = np.flatnonzero(np.isin(rows[:, S_SAT], self._set))
+        if len(old) == count:
+            dop = np.empty(5)
+            dilution(np.ascontiguousarray(lines[old]), systems[old].copy(), count, dop)
+            if dop[0] <= found * (1.0 + self.config.best_margin):
+                return old
+        return best
 
     def _events(
         self, t_ns: int, rows: F64, dop: F64, excluded: tuple[int, ...],

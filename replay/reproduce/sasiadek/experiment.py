@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from companion.navigation.earth import ecef
 from companion.types import F64, I64
 from replay.reproduce import figures
 from replay.reproduce.paper import Cell, Reproduction, Table
-from replay.reproduce.sasiadek.flight import EVERY_S, Flight, fly
+from replay.reproduce.sasiadek.flight import EVERY_S, SD_RANGE_M, Flight, fly
 
 SEEDS = 2
 SETTLED_S = 300.0
@@ -55,6 +56,13 @@ class Run:
         return np.flatnonzero(~np.array(same)) + 1
 
 
+def _choosing(choice: Literal["all", "best"]) -> RawGnss:
+    """The receiver's settings: noise as it is simulated, the best four or all."""
+    return RawGnss(
+        choice=choice, best_of=4, elevation_mask_deg=5.0, sd_range_m=SD_RANGE_M, iono_residual=0.0
+    )
+
+
 def run(flight: Flight, config: RawGnss, tuning: Tuning = TUNING) -> Run:
     """Both filters through ``flight`` on the satellites that ``config`` chooses."""
     receiver = Receiver(config)
@@ -88,8 +96,8 @@ def reproduce(out: Path | None, seeds: int, progress: Callable[[str], None]) -> 
     for seed in range(seeds):
         progress(f"flight {seed + 1} of {seeds}")
         flight = fly(seed)
-        best.append(run(flight, RawGnss(choice="best", best_of=4, elevation_mask_deg=5.0)))
-        every.append(run(flight, RawGnss(choice="all", elevation_mask_deg=5.0)))
+        best.append(run(flight, _choosing("best")))
+        every.append(run(flight, _choosing("all")))
     drawn: tuple[str, ...] = ()
     notes = [
         "the paper prints curves and no numbers, so its columns are empty; its flight is not given",

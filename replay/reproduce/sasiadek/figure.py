@@ -10,7 +10,7 @@ from replay.reproduce.figures import new_figure, save
 if TYPE_CHECKING:
     from replay.reproduce.sasiadek.experiment import Run
 
-_STYLE = {"feedforward": {"linestyle": "--", "color": "tab:orange"}, "feedback": {"color": "k"}}
+_STYLE = {"feedforward": "--", "feedback": "k-"}
 
 
 def draw(run: Run, out: Path) -> tuple[str, ...]:
@@ -25,7 +25,7 @@ def draw(run: Run, out: Path) -> tuple[str, ...]:
         for k, axis in enumerate(("East", "North", "Vertical")):
             plot = figure.add_subplot(3, 1, k + 1)
             for mode, error in values.items():
-                plot.plot(minutes, error[:, k], linewidth=0.7, label=mode, **_STYLE[mode])
+                plot.plot(minutes, error[:, k], _STYLE[mode], linewidth=0.7, label=mode)
             limit = 5.0 * float(abs(values["feedback"][300:, k]).mean())
             plot.set_ylim(-limit, limit)
             plot.set_ylabel(f"{axis} {name} error, {unit}")
@@ -43,7 +43,7 @@ def draw(run: Run, out: Path) -> tuple[str, ...]:
     ):
         plot = figure.add_subplot(3, 1, k + 1)
         for mode, values_ in curves.items():
-            plot.plot(minutes[60:], values_[60:], linewidth=0.7, label=mode, **_STYLE[mode])
+            plot.plot(minutes[60:], values_[60:], _STYLE[mode], linewidth=0.7, label=mode)
         plot.set_ylabel(label)
         plot.legend()
     plot = figure.add_subplot(3, 1, 3)

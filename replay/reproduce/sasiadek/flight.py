@@ -21,6 +21,9 @@ EVERY_S = 1.0
 SPEED_MPS = 90.0
 LEG_S, TURN_S = 1_080.0, 120.0
 LAT, LON, HEIGHT_M = math.radians(45.3), math.radians(-75.7), 3_000.0
+WHITE_M, MULTIPATH_M = 1.5, 1.0
+SD_RANGE_M = math.hypot(WHITE_M, MULTIPATH_M)
+"""Of a range at the zenith, 1σ."""
 EARTH_M, GRAVITY = 6.371e6, 9.81
 
 
@@ -42,7 +45,7 @@ def fly(seed: int) -> Flight:
     """A flight with its errors."""
     rng = np.random.default_rng(seed)
     n = int(HOURS * 3_600 / EVERY_S)
-    t = np.arange(n) * EVERY_S
+    t: F64 = np.arange(n, dtype=np.float64) * EVERY_S
     velocity = _velocity(t)
     offset = np.cumsum(velocity, axis=0) * EVERY_S
     truth = _placed(offset)
@@ -54,8 +57,8 @@ def fly(seed: int) -> Flight:
     # The axes of the start serve for the velocity: 30 km are half a degree, whose 0.7 m/s the
     # range rates would see, but this filter takes none.
     t_ns: I64 = (t * NS).astype(np.int64)
-    sky = observe(t_ns, state, rng, systems=(0,), mask_deg=5.0, sd_range_m=1.5,
-                  multipath_m=1.0, clock_m=(2_000.0, 30.0))  # fmt: skip
+    sky = observe(t_ns, state, rng, systems=(0,), mask_deg=5.0, sd_range_m=WHITE_M,
+                  multipath_m=MULTIPATH_M, clock_m=(2_000.0, 30.0))  # fmt: skip
     return Flight(t, truth, _placed(offset - error), rate, sky)
 
 
