@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from companion.config import DEG, Config
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
+from companion.gnss.corrected import ROW_SIZE
 from companion.intake.counters import Counters
 from companion.intake.inertial import Mounting
 from companion.intake.place import Place
@@ -75,7 +76,7 @@ class Admitted:
         """Into the aid table, sorted by time and, where that is equal, kind and source."""
         if len(self.t) <= 1:
             if len(self.t):
-                table.insert(int(self.t[0]), self.rows[0], np.array([self.kind, self.source]))
+                table.insert(int(self.t[0]), self.rows[0], np.array([self.kind, self.source[0]]))
             return
         last = table.t[table.end - 1] if len(table) else NEVER
         key = np.stack([np.full(len(self.t), self.kind), self.source], axis=1)
@@ -132,7 +133,8 @@ class AidIntake:
             rows, verdict = self._gnss(samples, started)
         elif isinstance(samples, RangeSamples):
             kind, latency_ms = w.KIND_RANGE, self.config.raw_gnss.latency_ms
-            rows, verdict = samples.rows, np.zeros(len(samples), np.int64)
+            rows, verdict = _blank(len(samples))
+            rows[:, :ROW_SIZE] = samples.rows
         elif isinstance(samples, BaroSamples):
             if not self.config.baro.use:
                 return None
