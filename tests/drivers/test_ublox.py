@@ -96,6 +96,8 @@ def test_raw_epochs_are_those_of_pyubx2(recorded: bytes, decoded: list[UbxSample
         for sat, range_, rate, cn0 in zip(
             raw.sat[0], raw.pseudorange[0], raw.rate[0], raw.cn0[0], strict=True
         ):
+            if sat == 0:
+                continue
             part = values[range_]
             assert part["svId"] == sat % 100
             assert part["cno"] == cn0

@@ -53,8 +53,8 @@ def _written(tmp_path: Path, text: str) -> Path:
 
 def test_observations_of_version_3(tmp_path: Path) -> None:
     raw, notes = read_observations(_written(tmp_path, OBS_3))
-    assert raw.sat.tolist() == [[101, 210], [101, 0]]
-    assert raw.pseudorange[0].tolist() == [21487708.882, 23291359.775]
+    assert raw.sat[:, :3].tolist() == [[101, 210, 0], [101, 0, 0]]
+    assert raw.pseudorange[0, :2].tolist() == [21487708.882, 23291359.775]
     # Doppler is positive for what comes nearer.
     assert raw.rate[0, 0] == pytest.approx(-2685.480 * C / 1575.42e6)
     assert np.isnan(raw.rate[[0, 1], [1, 0]]).all()
@@ -66,8 +66,8 @@ def test_observations_of_version_3(tmp_path: Path) -> None:
 
 def test_observations_of_version_2(tmp_path: Path) -> None:
     raw, notes = read_observations(_written(tmp_path, OBS_2))
-    assert raw.sat.tolist() == [[101, 112]]
-    assert raw.pseudorange[0].tolist() == [21487708.882, 22487708.882]
+    assert raw.sat[:, :3].tolist() == [[101, 112, 0]]
+    assert raw.pseudorange[0, :2].tolist() == [21487708.882, 22487708.882]
     assert raw.rate[0, 1] == pytest.approx(685.480 * C / 1575.42e6)
     assert notes == []
 
