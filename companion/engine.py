@@ -188,7 +188,7 @@ class Engine:
     @property
     def digest(self) -> str:
         """Hash over the bits of the settled solution so far."""
-        return self._outlet.digest
+        return self._outlet.digest(self.filter.rows, self._horizon(self._finished))
 
     @property
     def digest_published(self) -> str:

@@ -38,26 +38,47 @@ class Outlet:
     """Remembers what has been published, settled and said, and hashes the first two."""
 
     def __init__(self) -> None:
-        self._published_t = self._settled_t = _NEVER
+        self._published_t = self._settled_t = self._hashed_t = _NEVER
         self._fresh: list[tuple[I64, F64]] = []
+        self._unhashed: list[tuple[I64, F64]] = []
         self._said: dict[tuple[int, str], None] = {}
         self._unsaid: list[Event] = []
         self._settled = RowDigest()
         self._published = RowDigest()
 
-    @property
-    def digest(self) -> str:
-        """Hash over the bits of the settled solution so far."""
+    def digest(self, rows: SampleBuffer, horizon: int) -> str:
+        """Hash over the bits of what has settled: the output rows up to ``horizon``.
+
+        Whether it has been given out yet is no matter, so that a hash in the middle of a run
+        depends on what had arrived and not on the calls it arrived in.
+        """
+        self._hash_settled(rows, rows.after(horizon))
         return self._settled.hexdigest()
 
     @property
     def digest_published(self) -> str:
-        """Hash over everything published, in order."""
+        """Hash over everything reached for the first time, in order, given out yet or not."""
+        self._hash_published()
         return self._published.hexdigest()
+
+    def _hash_settled(self, rows: SampleBuffer, end: int) -> None:
+        begin = rows.after(self._hashed_t)
+        if begin < end:
+            self._settled.update(rows.t[begin:end], rows.rows[begin:end])
+            self._hashed_t = int(rows.t[end - 1])
+
+    def _hash_published(self) -> None:
+        parts, self._unhashed = self._unhashed, []
+        if len(parts) > 1:
+            columns = zip(*parts, strict=True)
+            t, rows = (np.concatenate(column) for column in columns)
+            parts = [(t, rows)]
+        for t, rows in parts:
+            self._published.update(t, rows)
 
     def restart(self) -> None:
         """The clock began anew: its times may be earlier than those given out before."""
-        self._published_t = self._settled_t = _NEVER
+        self._published_t = self._settled_t = self._hashed_t = _NEVER
 
     def publish(self, estimator: Estimator) -> None:
         """Set aside the epochs reached for the first time: going back may rewrite them."""
@@ -65,7 +86,9 @@ class Outlet:
         a, b = rows.after(self._published_t), rows.end
         if a < b:
             self._published_t = int(rows.t[b - 1])
-            self._fresh.append((rows.t[a:b].copy(), rows.rows[a:b].copy()))
+            part = rows.t[a:b].copy(), rows.rows[a:b].copy()
+            self._fresh.append(part)
+            self._unhashed.append(part)
         if estimator.events:
             self._note(estimator.events)
 
@@ -77,12 +100,7 @@ class Outlet:
     def published(self) -> Solution:
         """The epochs set aside since the last call."""
         fresh, self._fresh = self._fresh, []
-        if len(fresh) > 1:
-            columns = zip(*fresh, strict=True)
-            t, rows = (np.concatenate(column) for column in columns)
-            fresh = [(t, rows)]
-        for t, rows in fresh:
-            self._published.update(t, rows)
+        self._hash_published()
         return solution_of(fresh)
 
     def settled(self, rows: SampleBuffer, horizon: int) -> Solution:
@@ -94,7 +112,7 @@ class Outlet:
         # A snapshot may lie before the ring: from there, settled epochs are walked once more.
         a = rows.after(self._settled_t)
         if a < b:
-            self._settled.update(rows.t[a:b], rows.rows[a:b])
+            self._hash_settled(rows, b)
             self._settled_t = int(rows.t[b - 1])
             settled = solution_of([(rows.t[a:b].copy(), rows.rows[a:b].copy())])
         rows.start = b

@@ -188,6 +188,8 @@ def _means(
     become less certain by since the last fix [m²].
     """
     dt = min((t - q[T_LAST]) * 1e-9, LONGEST_STEP_S)
+    if dt <= 0.0:
+        return  # a fix that comes twice says nothing more
     gain = dt / (FAST_S + dt)
     off = math.sqrt(_square(f, FAST, u, m))
     most = WINSOR * math.sqrt(r + WINSOR_VAR)

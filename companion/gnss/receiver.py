@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from scipy.stats import chi2
 
 from companion.config import DEG, RawGnss
 from companion.gnss.broadcast import Ephemerides
@@ -41,6 +41,16 @@ FAULT_PROBABILITY = 1e-4
 GUESS_S = 600.0
 """A place this old no longer tells elevations or clock steps."""
 MOST_DOF = 64
+
+
+@cache
+def _residual_limits() -> F64:
+    """(MOST_DOF,) sums of squared residuals that a good epoch exceeds by chance that rarely."""
+    # Half a second of start-up, for runs with raw measurements only.
+    from scipy.stats import chi2
+
+    limits = chi2.ppf(1.0 - FAULT_PROBABILITY, np.arange(1, MOST_DOF + 1))
+    return np.asarray(limits, np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +88,6 @@ class Receiver:
         self._set: tuple[int, ...] = ()
         self._blamed: dict[int, str] = {}
         self._systems = {NAMES.index(name) for name in config.systems}
-        limits = chi2.ppf(1.0 - FAULT_PROBABILITY, np.arange(1, MOST_DOF + 1))
-        self._gates: F64 = np.asarray(limits, np.float64)
         noise = np.empty(NOISE_SIZE)
         noise[V_RANGE_SD], noise[V_RATE_SD] = config.sd_range_m, config.sd_rate_mps
         noise[V_CN0], noise[V_IONO] = config.strong_cn0_dbhz, config.iono_residual
@@ -113,7 +121,7 @@ class Receiver:
                 table, which, week, tow, observed, self._place,
                 self.ephemerides.ionosphere, self._noise, rows, sky,
             )  # fmt: skip
-            code = solve(rows, m, self._place, self._gates, point, used)
+            code = solve(rows, m, self._place, _residual_limits(), point, used)
             if code == SOLVED:
                 self._place, self._place_s = point[P_POS : P_POS + 3].copy(), now
             if known or code != SOLVED:

@@ -12,7 +12,7 @@ from companion.engine import Engine
 from companion.types import AidingReports, Event, Outputs, Solution, VehicleRecording
 from replay.player import arrivals, blocks
 
-from .test_bits import _flight, _with_arrivals
+from .test_bits import flight_of, with_arrivals
 
 
 def _in_turn(vehicle: VehicleRecording, config: Config) -> tuple[Engine, list[Outputs]]:
@@ -28,7 +28,7 @@ def _in_blocks(vehicle: VehicleRecording, config: Config) -> tuple[Engine, list[
 
 def _late(name: str, seed: int) -> tuple[VehicleRecording, Config]:
     """A run whose aiding is up to 650 ms late: beyond the ring, out of order, several at once."""
-    vehicle, config = _flight(name, "unknown")
+    vehicle, config = flight_of(name, "unknown")
     cut = len(vehicle.imu[0]) // 4
     end = int(vehicle.imu[0].t_ns[cut])
     vehicle = replace(
@@ -39,7 +39,7 @@ def _late(name: str, seed: int) -> tuple[VehicleRecording, Config]:
         mag=tuple(m.take(m.t_ns < end) for m in vehicle.mag),
     )
     rng = np.random.default_rng(seed)
-    return _with_arrivals(vehicle, lambda t: t + rng.integers(0, 650_000_000, len(t))), config
+    return with_arrivals(vehicle, lambda t: t + rng.integers(0, 650_000_000, len(t))), config
 
 
 def _reports(outputs: list[Outputs]) -> np.ndarray:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
 
 from companion.config import DEG, Config
+from companion.estimation.chi_square import exceeded_with
 from companion.estimation.direct import layout as lo
 from companion.types import F64, I64, NS
 
@@ -74,7 +74,7 @@ def parameter_vector(config: Config) -> F64:
     p[RATE_PSD : RATE_PSD + 3] = np.square(np.multiply(d.angular_acceleration_dps2_rthz, DEG))
     p[ACC_TAU], p[RATE_TAU] = d.acceleration_tau_s, d.rate_tau_s
     for dof in (1, 2, 3):
-        p[GATE + dof - 1] = chdtri(dof, 1.0 - config.engine.gate_probability)
+        p[GATE + dof - 1] = exceeded_with(1.0 - config.engine.gate_probability, dof)
     p[LATENCY_VAR] = (config.gnss.latency_sd_ms * 1e-3) ** 2
     p[LEVER : LEVER + 3] = config.gnss.lever_arm_b_m
     p[NHC_VAR] = aid.non_holonomic_sd_mps**2
