@@ -8,8 +8,7 @@ states, and they move nothing else, so the step stands beside that of the strapd
 
 from __future__ import annotations
 
-from numba import njit
-
+from companion._jit import njit
 from companion.estimation.parameters import CLOCK_DRIFT_PSD, CLOCK_PSD, SYSTEM_BIAS_PSD
 from companion.navigation.layout import CLOCK, DX, L_CLOCK, L_N
 from companion.navigation.layout import P as P_OFFSET

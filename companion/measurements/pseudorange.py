@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.gnss.corrected import S_RANGE, S_RATE, S_SYSTEM, S_VEL, expected_range, range_rate
 from companion.gnss.geometry import ned_axes
 from companion.measurements.gnss import position, velocity

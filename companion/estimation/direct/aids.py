@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from companion._jit import njit
 from companion.estimation.direct.layout import (
     ACC,
     ACC_N,

@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from companion._jit import njit
 from companion.estimation.direct.layout import (
     ACC,
     ACC_N,
