@@ -222,7 +222,8 @@ def compile_kernels() -> None:
         return
     console = Console(stderr=True, soft_wrap=True)
     console.print(
-        "First start here: compiling the numerical kernels, once; some two minutes …", style="yellow"
+        "First start here: compiling the numerical kernels, once; some two minutes …",
+        style="yellow",
     )
     with present.progress(console, "Compiling kernels") as update:
         kernels.load_all(update)

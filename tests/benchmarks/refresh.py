@@ -15,7 +15,7 @@ from tests.benchmarks.common import ROOT
 
 RESULTS = ROOT / "docs" / "results.md"
 _BLOCK = re.compile(r"```console\n\$ (?P<command>[^\n]+)\n.*?```", re.DOTALL)
-_PROGRESS = re.compile(r"^(Measuring|Vehicle \w+): \d+%$|^(Compiling|Loading) the numerical kernels")
+_PROGRESS = re.compile(r"^(Measuring|Vehicle \w+): \d+%$|^\w+ the numerical kernels")
 _LIMIT_S = 1800.0
 
 
