@@ -36,6 +36,7 @@ def test_mechanisms_keep_transitions_out_of_velocity_and_acceleration() -> None:
     # Four steps of Table I, and the begin of the turn is a step on both axes.
     assert all(4 <= run.switches <= 6 for run in with_)
     assert all(run.switches == 0 for run in without)
+    # The limit is met by these seeds; over 50 of them the worst error is 22.9 m (docs/results.md).
     assert np.linalg.norm(stacked(with_, "position"), axis=2).max() < 20.0
     roll, pitch, yaw = np.percentile(np.abs(stacked(with_, "attitude_deg")), 95, axis=(0, 1))
     assert max(roll, pitch) < 0.5
