@@ -527,17 +527,32 @@ def watch(
         typer.Option(metavar="FILE", help="zenoh configuration (TLS, user and password) instead."),
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="One picture, then exit.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="As a page for a browser.")] = False,
+    bind: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="With --web: where to serve. No password!")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="With --web; 0: any that is free.")
+    ] = 8470,
     as_json: Annotated[
         bool, typer.Option("--json", help="One picture as one JSON object on stdout.")
     ] = False,
 ) -> None:
-    """Live state of a running companion in the terminal, over zenoh; Ctrl-C ends it.
+    """Live state of a running companion in the terminal or a browser, over zenoh; Ctrl-C ends it.
 
     Position degrees and m, velocity m/s, attitude degrees, ± one standard deviation, ages s.
 
-    Example: companion watch --connect tcp/192.168.1.20:7447
+    Example: companion watch --connect tcp/192.168.1.20:7447 --web
     """
     console = _console(as_json)
+    if web:
+        if once or as_json:
+            raise typer.BadParameter("--web does not go with --once or --json")
+        from companion.cli.watch import listen_to
+        from companion.cli.watch_web import serve
+
+        serve(console, *listen_to(vehicle, connect, zenoh_config), bind, port)
+        return
     from companion.cli.watch import watch as follow
 
     picture = follow(console, vehicle, connect, zenoh_config, once or as_json)

@@ -28,17 +28,27 @@ _OTHER_LINES = 32
 """Of the picture without events, about."""
 
 
-def watch(
-    console: Console, vehicle: str | None, endpoint: str, zenoh_config: Path | None, once: bool
-) -> dict[str, Any] | None:
-    """Show what is published; with ``once``, one picture, which is also returned as an object."""
+def listen_to(
+    vehicle: str | None, endpoint: str, zenoh_config: Path | None
+) -> tuple[Subscriber, str]:
+    """A subscriber of one vehicle or all, and its other end for people.
+
+    Raises :class:`~companion.types.ConfigError` for an endpoint or a file that can never work.
+    """
 
     def settings() -> Any:
         return file_settings(zenoh_config) if zenoh_config else client_settings(endpoint)
 
     settings()  # a wrong one fails here, in one line
-    where = str(zenoh_config) if zenoh_config else endpoint
-    with closing(Subscriber(settings, vehicle or "*")) as subscriber:
+    return Subscriber(settings, vehicle or "*"), str(zenoh_config or endpoint)
+
+
+def watch(
+    console: Console, vehicle: str | None, endpoint: str, zenoh_config: Path | None, once: bool
+) -> dict[str, Any] | None:
+    """Show what is published; with ``once``, one picture, which is also returned as an object."""
+    subscriber, where = listen_to(vehicle, endpoint, zenoh_config)
+    with closing(subscriber):
         if once:
             return _once(console, subscriber, where)
         try:

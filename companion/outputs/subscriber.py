@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +28,8 @@ class Heard:
     """Key below the vehicle's: ``nav/state``, ``health``, ``@alive``, …"""
     payload: bytes | None
     """None: an ``@alive`` token that vanished."""
+    receipt_ns: int = 0
+    """CLOCK_MONOTONIC when it came, however long it then waited for its reader."""
 
 
 class Subscriber:
@@ -79,9 +82,8 @@ class Subscriber:
     def _take(self, sample: zenoh.Sample) -> None:
         _, vehicle, name = str(sample.key_expr).split("/", 2)
         gone = sample.kind == zenoh.SampleKind.DELETE
+        payload = None if gone else sample.payload.to_bytes()
         try:
-            self._heard.put_nowait(
-                Heard(vehicle, name, None if gone else sample.payload.to_bytes())
-            )
+            self._heard.put_nowait(Heard(vehicle, name, payload, time.monotonic_ns()))
         except queue.Full:
             self.dropped += 1

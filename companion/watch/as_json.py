@@ -7,7 +7,9 @@ from typing import Any
 
 import msgspec
 
-from companion.watch.picture import VehiclePicture
+from companion.types import NS
+from companion.watch.alarms import alarms
+from companion.watch.picture import SENSOR_KINDS, VehiclePicture
 
 
 def picture_json(v: VehiclePicture, now_ns: int) -> dict[str, Any]:
@@ -24,9 +26,23 @@ def picture_json(v: VehiclePicture, now_ns: int) -> dict[str, Any]:
             channel.name.lower(): dict(
                 zip(("accepted", "rejected", "refused"), gate.counts(now_ns), strict=True),
                 nis_over_gate=gate.ratio,
+                latest=gate.last.name.lower() if gate.last is not None else None,
+                age_s=(now_ns - gate.last_ns) / NS,
+                overdue=channel in SENSOR_KINDS and gate.overdue(now_ns),
             )
             for channel, gate in sorted(v.gates.items())
         },
+        "adaptation": {
+            channel.name.lower(): {
+                "r_scale": adapted.r_scale,
+                "q_scale": adapted.q_scale,
+                "alpha": adapted.alpha,
+                "because": adapted.because,
+                "age_s": (now_ns - adapted.last_ns) / NS,
+            }
+            for channel, adapted in sorted(v.adaptation.items())
+        },
+        "alarms": alarms(v, now_ns),
         "events": list(v.events),
         "unreadable": v.broken,
     }

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.types import NS, Health, Verdict
+from companion.watch.alarms import WIDE_MS
 from companion.watch.picture import Fleet, VehiclePicture
 
 _STANDING = {"navigating": "bold green", "heading unknown": "bold yellow",
@@ -24,8 +25,6 @@ _STATE = {"ok": "green", "up": "green", "writing": "green", "back": "yellow", "s
           "waiting": "yellow", "retrying": "yellow", "no-fix": "yellow", "silent": "red",
           "lost": "red", "stopped": "red", "off": "", "warning": "yellow", "error": "red",
           "info": ""}  # fmt: skip
-_WIDE_MS = 20.0
-"""Latency that is worth looking at."""
 
 
 def fleet_view(fleet: Fleet, vehicle: VehiclePicture | None, now_ns: int, last: int) -> Group:
@@ -93,7 +92,7 @@ def _head(v: VehiclePicture, now_ns: int) -> Text:
         line.append(f"  {at:%Y-%m-%d %H:%M:%S}.{at.microsecond // 100_000} UTC", "dim")
         line.append(f"  {v.rate_hz(now_ns):.0f} Hz")
         if math.isfinite(v.latency_ms):
-            line.append(f"  {v.latency_ms:.1f} ms old", "yellow" if v.latency_ms > _WIDE_MS else "")
+            line.append(f"  {v.latency_ms:.1f} ms old", "yellow" if v.latency_ms > WIDE_MS else "")
         if v.state.resets:
             line.append(f"  {v.state.resets} resets", "yellow")
     if v.health is not None:

@@ -164,7 +164,8 @@ def test_json_is_plain_and_in_degrees() -> None:
     assert picture["state"]["rpy_deg"] == pytest.approx([0, 0, 30], abs=1e-4)
     gates = picture["gates"]
     assert gates["gnss_position_h"] == {
-        "accepted": 3, "rejected": 1, "refused": 0, "nis_over_gate": pytest.approx(2.0)
+        "accepted": 3, "rejected": 1, "refused": 0, "nis_over_gate": pytest.approx(2.0),
+        "latest": "rejected_gate", "age_s": pytest.approx(1.0), "overdue": True,
     }  # fmt: skip
     assert gates["baro"]["nis_over_gate"] is None
     assert picture["health"]["sensors"][0]["source"] == "can0"
