@@ -68,6 +68,19 @@ class Child:
         """Whether it has not ended yet."""
         return self._child.poll() is None
 
+    @property
+    def ended(self) -> str:
+        """How it ended, in words; empty while it runs."""
+        status = self._child.poll()
+        if status is None:
+            return ""
+        if status >= 0:
+            return f"status {status}"
+        try:
+            return f"killed by {signal.Signals(-status).name}"
+        except ValueError:
+            return f"killed by signal {-status}"
+
     def said(self) -> list[dict[str, Any]]:
         """What it said since the last call."""
         out = []

@@ -81,6 +81,17 @@ def _kind(path: Path) -> str:
     return "an unknown format"
 
 
+def looks_readable(path: Path) -> bool:
+    """Whether a file begins, or else is named, like a log that can be navigated with.
+
+    CAN traffic alone cannot: it belongs to another log.
+    """
+    try:
+        return _kind(path) in _FORMATS
+    except OSError:
+        return False
+
+
 def _read(path: Path, can: Sequence[CanBus]) -> Recording:
     """One path of any readable format. The readers are imported when needed: start-up counts."""
     if path.is_dir():

@@ -25,6 +25,7 @@ COMMANDS = (
     "smooth",
     "reproduce",
     "compare",
+    "batch",
     "bench",
     "check",
     "demo",

@@ -591,6 +591,60 @@ def reproduce(
     _emit_if(as_json, reproduce_paper(console, paper, output, seeds))
 
 
+@app.command(no_args_is_help=True)
+def batch(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG…",
+            help="What replay reads, each a run of its own; of a folder everything below it.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Where pages, table and what is done are kept. The same DIR again: only what is "
+            "new or changed is worked on.",
+        ),
+    ],
+    config: ConfigPath = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="tcp://HOST:PORT",
+            help="A Dask cluster whose workers see the same paths; without it this machine.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Logs at a time on this machine; else all cores."),
+    ] = None,
+    timeout: Annotated[
+        float,
+        typer.Option(min=1.0, metavar="SECONDS", help="A log that takes longer is given up."),
+    ] = 1800.0,
+    rate: Annotated[
+        float, typer.Option(min=0.1, max=1000.0, metavar="HZ", help="Smoothed epochs per second.")
+    ] = 10.0,
+    as_json: JsonFlag = False,
+) -> None:
+    """Replay, smooth, evaluate and report many logs, on all cores or a Dask cluster.
+
+    DIR/index.html: outliers first; DIR/logs.csv: a row a flight, in m, m/s, degrees and s. A log
+    that cannot be read, crashes or hangs is listed there, and the others go on.
+
+    Example: companion batch flights/ -o fleet
+    """
+    console = _console(as_json)
+    from companion.cli.batch import batch_logs
+
+    made = batch_logs(console, logs, output, config, scheduler, workers, timeout, rate)
+    _emit_if(as_json, made)
+
+
 @app.command()
 def bench(
     only: Annotated[

@@ -83,7 +83,7 @@ def _evidence(run: RunView) -> Iterator[Evidence]:
     yield from _sensors(run)
 
 
-def _horizontal(solution: Solution) -> F64:
+def horizontal_sd(solution: Solution) -> F64:
     """Larger standard deviation of the horizontal position (N,) [m]."""
     xx, xy, yy = solution.cov[:, COV_POS][:, [0, 1, 3]].T
     root = np.sqrt(np.maximum(0.25 * (xx - yy) ** 2 + xy**2, 0.0))
@@ -100,7 +100,7 @@ def _against_reference(run: RunView, aligned: Solution) -> Iterator[Evidence]:
     known = np.isfinite(horizontal) & (aligned.mode >= Mode.NAVIGATING)
     if not known.any():
         return
-    sd = np.hypot(_horizontal(aligned), _slow_error(run))
+    sd = np.hypot(horizontal_sd(aligned), _slow_error(run))
     rms, worst = float(np.sqrt(np.mean(horizontal[known] ** 2))), float(horizontal[known].max())
     beyond = float(np.mean(horizontal[known] > 3.0 * sd[known]))
     said = f"{rms:.2f} m RMS, {worst:.1f} m at worst"
@@ -115,7 +115,7 @@ def _against_reference(run: RunView, aligned: Solution) -> Iterator[Evidence]:
     level = "bad" if beyond > BEYOND_BAD else "degraded" if beyond > BEYOND_DEGRADED else "good"
     text = f"horizontal error against truth {said}"
     if level == "good":
-        alone = float(np.mean(horizontal[known] > 3.0 * _horizontal(aligned)[known]))
+        alone = float(np.mean(horizontal[known] > 3.0 * horizontal_sd(aligned)[known]))
         hint = "The receiver's slow error is not in the stated one: gnss.slow_error_sd_m."
         yield Evidence("good", text, hint if alone > BEYOND_DEGRADED else "")
         return
@@ -134,7 +134,7 @@ def _slow_error(run: RunView) -> float:
 
 
 def _stated(aligned: Solution) -> Iterator[Evidence]:
-    sd = _horizontal(aligned)
+    sd = horizontal_sd(aligned)
     known = sd[np.isfinite(sd)]
     if not len(known):
         yield Evidence("bad", "the filter states no standard deviation of its position")
