@@ -90,6 +90,8 @@ MAX_WINDOW = 100
 
 
 class Config(Section):
+    """One TOML file: every section may be left out, and every key but those without a default."""
+
     vehicle: Vehicle = Vehicle()
     imu: Imu = Imu()
     further_imu: tuple[FurtherImu, ...] = ()
@@ -113,7 +115,7 @@ class Config(Section):
     live: Live = Live()
 
 
-def _section_of(annotation: Any) -> type[Section] | None:
+def section_of(annotation: Any) -> type[Section] | None:
     """The section behind ``Section``, ``Section | None`` or ``tuple[Section, ...]``."""
     for kind in (annotation, *get_args(annotation)):
         if isinstance(kind, type) and issubclass(kind, Section):
@@ -125,7 +127,7 @@ def _section_at(path: str) -> type[Section] | None:
     """The section that ``path`` (``can[0].imu[1]``) leads to; none for a free table of options."""
     section: type[Section] = Config
     for part in [p.split("[")[0] for p in path.split(".") if p]:
-        found = _section_of({f.name: f.type for f in msgspec.structs.fields(section)}.get(part))
+        found = section_of({f.name: f.type for f in msgspec.structs.fields(section)}.get(part))
         if found is None:
             return None
         section = found
@@ -155,7 +157,7 @@ def _explain(error: msgspec.ValidationError) -> str:
     kind = _known(section).get(name)
     if "Invalid enum value" in text:
         what += f"; one of {', '.join(repr(choice) for choice in get_args(kind))}"
-    elif _section_of(kind) is not None and "got `object`" in text:
+    elif section_of(kind) is not None and "got `object`" in text:
         what = f"is a list of tables; write [[{path}]]"
     return f"key '{path}': {what}"
 
@@ -170,26 +172,49 @@ _POSITIVE = (
     "gnss.sd_velocity_mps",
     "gnss.sd_velocity_down_mps",
     "gnss.slow_error_tau_s",
+    "gnss.max_sd_position_m",
     "baro.sd_m",
     "mag.sd_deg",
     "mag.max_rate_hz",
     "constraints.zero_velocity_sd_mps",
     "constraints.zero_rate_sd_dps",
     "constraints.standstill_window_s",
+    "constraints.standstill_gyro_dps",
+    "constraints.standstill_accel_mps2",
     "constraints.non_holonomic_sd_mps",
     "constraints.non_holonomic_rate_hz",
     "constraints.course_sd_deg",
     "alignment.window_s",
+    "alignment.heading_found_sd_deg",
     "engine.covariance_rate_hz",
     "engine.output_rate_hz",
     "engine.delay_ring_s",
     "engine.imu_gap_bridge_s",
+    "engine.coasting_after_s",
+    "engine.diverged_position_sd_m",
+    "engine.gate_relock_s",
     "source_faults.patience_s",
     "smoothing.rate_hz",
     "smoothing.longest_interval_s",
 )
 
-_NOT_NEGATIVE = ("imu.vibration_gain_rthz", "imu.gyro_vibration_gain_rthz")
+_NOT_NEGATIVE = (
+    "imu.gyro_bias_walk_dps_rts",
+    "imu.gyro_bias_tau_s",
+    "imu.accel_bias_walk_mps2_rts",
+    "imu.accel_bias_tau_s",
+    "imu.vibration_gain_rthz",
+    "imu.gyro_vibration_gain_rthz",
+    "imu.gyro_scale_sd_ppm",
+    "imu.accel_scale_sd_ppm",
+    "gnss.latency_sd_ms",
+    "gnss.lever_arm_sd_m",
+    "gnss.slow_error_sd_m",
+    "gnss.slow_error_height_sd_m",
+    "baro.bias_walk_m_rts",
+    "constraints.standstill_speed_mps",
+    "constraints.course_min_speed_mps",
+)
 
 
 def _check(config: Config) -> None:
@@ -210,7 +235,10 @@ def _check(config: Config) -> None:
         if not all(abs(value) <= limit for value in biases):
             raise ConfigError(f"key '{key}': three numbers within ±{limit:g} {unit}, got {biases}")
     rotation("imu.axes", config.imu.axes)
-    for key, limit in (("imu.latency_ms", 500.0), ("gnss.latency_ms", 2000.0)):
+    for key, limit in (
+        ("imu.latency_ms", 500.0), ("gnss.latency_ms", 2000.0),
+        ("baro.latency_ms", 2000.0), ("mag.latency_ms", 2000.0),
+    ):  # fmt: skip
         section, name = key.split(".")
         value = getattr(getattr(config, section), name)
         if not 0 <= value <= limit:

@@ -48,7 +48,9 @@ class FlacRule(Section):
     covariance: Mean
     """Against S: ``zero``, ``small`` (as it should be) or ``large``."""
     mean: Mean
+    """Of the innovations, against their scatter."""
     alpha: Weight
+    """Weight of the new against the past."""
 
 
 def _rules() -> tuple[Rule, ...]:
@@ -89,6 +91,7 @@ class Fuzzy(Section):
     r_max: float = 100.0
     """Bounds of the factor on R; 100 is a deviation ten times what was said."""
     r_min: float = 1.0
+    """Below 1, R may also become smaller than was said."""
     q_max: float = 100.0
     """Bound of the factor on Q, from 1."""
     rise: float = 4.0
@@ -105,7 +108,9 @@ class Flac(Section):
     small: float = 1.01
     """α of a small weight; ``zero`` is 1."""
     medium: float = 1.02
+    """α of a medium weight."""
     large: float = 1.04
+    """α of a large weight."""
     rules: tuple[FlacRule, ...] = _flac_rules()
     """Nine, in any order: one for each covariance and mean."""
 
@@ -114,6 +119,7 @@ class Adaptation(Section):
     """What the filter does when innovations are not what it foresees."""
 
     method: Method = "none"
+    """``none``, or how R and Q follow the innovations: see docs/adaptation.md."""
     window: int = 20
     """Innovations of a channel that are looked at together."""
     fuzzy: Fuzzy = Fuzzy()

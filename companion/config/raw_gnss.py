@@ -16,11 +16,13 @@ class RawGnss(Section):
     """``tight``: the filter takes each range, so that fewer than four satellites still aid;
     ``loose``: it takes the least-squares position and velocity of each epoch; ``off``: neither."""
     source: str = "auto"
+    """Stream name of the receiver, or ``auto`` for the first one."""
     clock: Literal["utc", "gps"] = "utc"
     """Of a sensor folder's stamps: POSIX nanoseconds in UTC, or in GPS time (18 s ahead)."""
     latency_ms: float = 0.0
     """Stamp − validity of an epoch."""
     systems: tuple[Literal["gps", "galileo", "beidou"], ...] = ("gps", "galileo", "beidou")
+    """Satellite systems that are used."""
     sd_range_m: float = 1.0
     """Pseudorange at the zenith with a strong signal, 1σ; grows with 1/sin of the elevation and as
     the signal weakens. A larger deviation that the receiver itself reports is believed."""
@@ -32,9 +34,11 @@ class RawGnss(Section):
     """Part of the modelled ionospheric delay that is left as error, 1σ (the model takes off about
     half of the delay, RMS)."""
     elevation_mask_deg: float = 10.0
+    """Lower satellites are left out."""
     choice: Literal["all", "best"] = "all"
     """``best``: only the ``best_of`` satellites with the smallest GDOP, over all combinations."""
     best_of: int = 4
+    """How many, with ``choice = "best"``."""
     best_margin: float = 0.1
     """A set is kept until another's GDOP is smaller by more than this part of it."""
     exclude: bool = True
@@ -46,6 +50,7 @@ class RawGnss(Section):
     system_bias_sd_m: float = 100.0
     """Bias of Galileo and BeiDou against GPS in the receiver, 1σ at the start."""
     system_bias_walk_m_rts: float = 0.01
+    """Random walk of that bias [m/√s]."""
 
 
 def check_raw_gnss(raw: RawGnss) -> None:

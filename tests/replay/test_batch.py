@@ -126,7 +126,7 @@ def test_a_cluster_gives_the_same_bits(
     logs: Path, first: tuple[Path, Batch], tmp_path: Path
 ) -> None:
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
     ) as cluster:
         made = batch(logs, "-o", tmp_path / "out", "--scheduler", cluster.scheduler_address)
     assert made.said["reused"] == 0
