@@ -27,6 +27,7 @@ def picture_json(v: VehiclePicture, now_ns: int) -> dict[str, Any]:
                 zip(("accepted", "rejected", "refused"), gate.counts(now_ns), strict=True),
                 nis_over_gate=gate.ratio,
                 latest=gate.last.name.lower() if gate.last is not None else None,
+                sensor=SENSOR_KINDS.get(channel),
                 age_s=(now_ns - gate.last_ns) / NS,
                 overdue=channel in SENSOR_KINDS and gate.overdue(now_ns),
             )

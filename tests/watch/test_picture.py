@@ -166,6 +166,7 @@ def test_json_is_plain_and_in_degrees() -> None:
     assert gates["gnss_position_h"] == {
         "accepted": 3, "rejected": 1, "refused": 0, "nis_over_gate": pytest.approx(2.0),
         "latest": "rejected_gate", "age_s": pytest.approx(1.0), "overdue": True,
+        "sensor": "gnss",
     }  # fmt: skip
     assert gates["baro"]["nis_over_gate"] is None
     assert picture["health"]["sensors"][0]["source"] == "can0"

@@ -173,15 +173,20 @@ def test_a_slow_receiver_is_not_overdue_before_its_time() -> None:
     assert gate.overdue(SECOND + 5 * NS + 1_900_000_000)
 
 
-def test_adaptation_is_told_with_the_winning_rule() -> None:
+def adapted() -> AdaptationTrace:
+    """One barometer measurement taken for worse than it says, in part for the inertial unit's."""
     one = np.ones(1)
-    trace = AdaptationTrace(
+    return AdaptationTrace(
         t_ns=np.array([SECOND]), channel=np.array([Channel.BARO]), source=np.array([0]),
         mean=4 * one, spread=9 * one, correlation=one, to_model=0.9 * one, to_source=0 * one,
         firing=np.eye(9)[[7]], r_scale=6.0 * one, q_scale=2.5 * one, alpha=one,
     )  # fmt: skip
+
+
+def test_adaptation_is_told_with_the_winning_rule() -> None:
+    trace = encode_trace(adapted())[0].tobytes()
     model = PageModel("s", SECOND)
-    model.update(Heard("v1", payloads.ADAPTATION, encode_trace(trace)[0].tobytes(), SECOND))
+    model.update(Heard("v1", payloads.ADAPTATION, trace, SECOND))
     model.tick(SECOND)
     v = told(model, Cursor())[0]["vehicles"]["v1"]
     assert v["now"]["adaptation"]["baro"] == {

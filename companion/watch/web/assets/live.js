@@ -60,7 +60,8 @@ function draw() {
   drawAdaptation(v.now.adaptation);
   drawProcess(v.now);
   drawEvents(v.events);
-  drawCharts(v.rows);
+  drawCharts(v.rows, v.now.gates);
+  el("columns").classList.toggle("stale", ["gone", "silent"].includes(v.now.is));
 }
 
 function drawVehicles() {
@@ -168,15 +169,16 @@ function drawSources(now) {
     [...sensors, ...links]);
 }
 
+/* A constraint that is rejected is no fault: the vehicle moves. */
 function drawGates(gates) {
   const rows = Object.entries(gates).map(([channel, g]) => {
+    const told = g.sensor || channel.startsWith("source");
     const latest = g.overdue ? "overdue" : g.latest ? words(g.latest) : "silent";
-    const level = g.overdue ? "error" : g.latest === "accepted" ? "ok" : "warning";
-    const refused = g.latest && g.latest.startsWith("rejected") ? "error" : level;
-    return [words(channel), number(g.accepted, 0),
-      { text: g.rejected, number: true, level: g.rejected ? "warning" : "" },
-      { text: g.refused, number: true, level: g.refused ? "warning" : "" },
-      number(g.nis_over_gate, 2), { text: latest, level: refused }, number(g.age_s, 1, " s")];
+    const bad = g.overdue || (g.latest || "").startsWith("rejected");
+    return [words(channel), number(g.accepted, 0), number(g.rejected, 0), number(g.refused, 0),
+      ratio(g.nis_over_gate),
+      { text: latest, level: !told ? "" : bad ? "error" : g.latest === "accepted" ? "ok" : "warning" },
+      number(g.age_s, 1, " s")];
   });
   const head = (text) => ({ text, number: true });
   fill(el("gates").lastElementChild, ["Channel", head("Accepted"), head("Rejected"), head("Refused"),
@@ -217,7 +219,7 @@ function drawEvents(events) {
   }));
 }
 
-function drawCharts(rows) {
+function drawCharts(rows, gates) {
   charts = charts || new Charts(el("charts"), ROWS * frame.tick_s);
   const times = rows.map(([tick]) => (tick - frame.tick) * frame.tick_s);
   const column = (name) => rows.map(([, row]) => (name in row ? row[name] : null));
@@ -226,14 +228,15 @@ function drawCharts(rows) {
   const all = (prefix) => [...new Set(rows.flatMap(([, row]) => Object.keys(row)
     .filter((name) => name.startsWith(prefix))))].sort().map((name) => [name, words(name.slice(prefix.length))]);
   const fromZero = (u, low, high) => [0, Math.max(high * 1.1, 1e-3)];
-  charts.show(GATES, "", (u, low, high) => [0, Math.min(Math.max(1.3, high * 1.05), 10)], times, lines(...all("gate.")));
+  charts.show(GATES, "", (u, low, high) => [0, Math.min(Math.max(1.3, high * 1.05), 10)], times,
+    lines(...all("gate.").filter(([name]) => (gates[name.slice(5)] || {}).sensor)));
   charts.show("Position, 1 σ", "m", fromZero, times, lines(["sd_h", "horizontal"], ["sd_v", "vertical"]));
   charts.show("Height", "m", null, times, lines(["height", "height"]));
   charts.show("Speed", "m/s", null, times, lines(["speed", "over ground"], ["climb", "climb"]));
   charts.show("Roll and pitch", "°", null, times, lines(["roll", "roll"], ["pitch", "pitch"]));
   charts.show("Adaptation: factor on R, and on Q", "", null, times, lines(...all("r."), ["q", "Q"]));
   charts.show("Sample to this page's server, at most", "ms", fromZero, times, lines(["latency", "latency"]));
-  charts.show("States a second", "Hz", fromZero, times, lines(["rate", "rate"]));
+  charts.show("States a second", "Hz", fromZero, times, lines(["rate", "states"]));
 }
 
 /* What is on the page is only as good as the connection that it came by. */

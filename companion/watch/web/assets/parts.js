@@ -13,6 +13,8 @@ const STATES = {
 
 const known = (x) => x !== null && x !== undefined;
 const fixed = (x, digits, unit = "") => (known(x) ? x.toFixed(digits) + unit : "–");
+/* A ratio in at most four places. */
+const ratio = (x) => ({ text: known(x) && x >= 99.5 ? "> 99" : fixed(x, 2), number: true });
 const words = (name) => name.replaceAll("_", " ");
 
 /* Texts, classes and bars of a table; elements are made once and then only changed, so that a
@@ -136,18 +138,19 @@ class Charts {
   show(title, unit, range, times, lines) {
     const key = lines.map(([label]) => label).join("\n");
     let chart = this.charts.get(title);
-    if (chart && chart.key !== key) {
+    if (!chart) {
+      const place = this.holder.appendChild(document.createElement("div"));
+      place.className = "chart";
+      chart = { place, plot: null, key };
+      this.charts.set(title, chart);
+    }
+    chart.place.hidden = !lines.length;
+    if (chart.plot && chart.key !== key) {
       chart.plot.destroy();
       chart.place.replaceChildren();
       chart.plot = null;
     }
     if (!lines.length) return;
-    if (!chart) {
-      const place = this.holder.appendChild(document.createElement("div"));
-      place.className = "chart";
-      chart = { place };
-      this.charts.set(title, chart);
-    }
     const data = [times, ...lines.map(([, values]) => values)];
     if (chart.plot) { chart.plot.setData(data); return; }
     chart.key = key;
