@@ -15,7 +15,7 @@ run: $(RUN_STAMP)
 	@mkdir -p $(OUT)
 	$(BIN)/companion replay $(SAMPLE) --out $(OUT)/sample.mcap
 
-# The kernels are compiled once in one process, so that no test measures or races a compiler.
+# The kernels are compiled beforehand, so that no test measures or races a compiler.
 test: $(DEV_STAMP)
 	$(BIN)/python -m replay.kernels
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE)

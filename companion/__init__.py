@@ -3,8 +3,4 @@
 Frames, units, time and names are laid down in :mod:`companion.types`.
 """
 
-from companion._kernel_cache import use_cache
-
 __version__ = "0.1.0"
-
-use_cache()

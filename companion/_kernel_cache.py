@@ -1,9 +1,10 @@
-"""Where compiled kernels are kept: a folder named after the sources of all of them.
+"""Which machine code a kernel needs, and where it is kept: found by content, without numba.
 
-Numba's cache looks at the file of a kernel, not at the files of what it calls or of the constants
-it compiles in. A changed offset in one file would leave stale machine code in its callers, silently
-wrong. So the cache's folder carries a hash of every source that takes part: any change is a new
-folder. Nothing here imports numba: the command line asks :func:`compiled` before it does.
+Numba's cache asks the time stamp of a kernel's own file: not the kernels it calls, nor constants
+from elsewhere that are compiled in. A changed offset in one file would leave stale code in its
+callers, silently wrong. Here a kernel's key is a hash of all that its machine code is made of: its
+byte code, signature and constants, the values of the globals it reads, and the keys of the kernels
+it calls. A comment or another file costs nothing, and two checkouts can share one folder.
 """
 
 from __future__ import annotations
@@ -11,69 +12,90 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import re
 import shutil
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from types import BuiltinFunctionType, ModuleType
+from typing import Any
 
-CONSTANTS = ("layout.py", "parameters.py")
-"""Sources without kernels whose values are compiled into kernels."""
-_KERNEL = re.compile(rb"^@njit\(", re.MULTILINE)
-_MARK = "complete"
-"""File in the cache's folder that says for which sources and versions everything is there."""
+import numpy as np
+
+_PACKAGES = ("companion", "drivers", "replay", "tests")
+_PLAIN = (bool, int, float, complex, str, bytes, type(None))
 _PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")
 
 
-def root() -> Path:
-    """The folder that holds the packages."""
-    return Path(__file__).parent.parent
+def key(function: Callable[..., Any], signature: str) -> str:
+    """Hash of what ``function`` compiles to.
+
+    Raises :class:`TypeError` for a global whose value cannot be told apart by content.
+    """
+    code = function.__code__
+    said = hashlib.sha256(code.co_code)
+    constants = [c for c in code.co_consts if c != function.__doc__]
+    for part in (signature, constants, code.co_varnames, code.co_names, function.__defaults__):
+        said.update(repr(part).encode())
+    for name, content in _read_globals(function):
+        said.update(f"{name}={content};".encode())
+    return said.hexdigest()[:20]
+
+
+def _read_globals(function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
+    """Name and content of each global that the code may read, those within our modules too."""
+    names = function.__code__.co_names
+    for name in names:
+        if name not in function.__globals__:
+            continue
+        value = function.__globals__[name]
+        if isinstance(value, ModuleType) and value.__name__.partition(".")[0] in _PACKAGES:
+            for inner in names:
+                if hasattr(value, inner):
+                    yield f"{name}.{inner}", _content(getattr(value, inner))
+        else:
+            yield name, _content(value)
+
+
+def _content(value: Any) -> str:
+    """What stands for a global's value."""
+    if isinstance(value, _PLAIN):
+        return repr(value)
+    if isinstance(value, tuple):
+        return f"({','.join(_content(v) for v in value)})"
+    if isinstance(value, np.ndarray | np.generic):
+        return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
+    if hasattr(value, "kernel_key"):
+        return str(value.kernel_key)
+    if isinstance(value, ModuleType):
+        return value.__name__
+    if isinstance(value, type | BuiltinFunctionType | np.ufunc):
+        return repr(value)
+    raise TypeError(f"a kernel reads a global {type(value).__name__}, whose content has no name")
 
 
 @cache
-def kernel_sources() -> tuple[Path, ...]:
-    """Every source that takes part in a kernel, in a fixed order."""
-    found: list[Path] = []
-    for package in ("companion", "drivers", "replay"):
-        found.extend(
-            path
-            for path in sorted((root() / package).rglob("*.py"))
-            if path.name in CONSTANTS or _KERNEL.search(path.read_bytes())
-        )
-    return tuple(found)
+def folder() -> Path:
+    """Where kernels of this Python, numba and processor are kept.
 
-
-def use_cache() -> None:
-    """Point numba to the folder of these sources, unless ``NUMBA_CACHE_DIR`` says otherwise.
-
-    Must run before numba is first imported. Folders of other sources are removed.
+    Under ``NUMBA_CACHE_DIR`` where it is set, else in ``__pycache__`` beside this file where that
+    can be written (a virtual environment, a checkout), else in the user's cache directory.
     """
-    if "NUMBA_CACHE_DIR" in os.environ:
-        return
-    digest = hashlib.sha256()
-    for path in kernel_sources():
-        digest.update(path.name.encode() + path.read_bytes())
+    machine = hashlib.sha256(f"{sys.version} {_numba()} {_processor()}".encode()).hexdigest()[:16]
+    return _base() / f"kernels-{machine}"
+
+
+def _base() -> Path:
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return Path(given)
     base = Path(__file__).parent / "__pycache__"
-    if not os.access(base if base.exists() else base.parent, os.W_OK):
-        home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-        base = Path(home) / "companion-nav"
-    folder = base / f"kernels-{digest.hexdigest()[:16]}"
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    for old in base.glob("kernels-*"):
-        if old != folder:
-            shutil.rmtree(old, ignore_errors=True)
-
-
-def _state() -> str:
-    """What numba will ask before it takes an entry: versions, the processor, each source's stamp
-    and size."""
-    lines = [f"python {sys.version}", f"numba {_numba()}", f"processor {_processor()}"]
-    for path in kernel_sources():
-        stat = path.stat()
-        lines.append(f"{path.relative_to(root())} {stat.st_mtime_ns} {stat.st_size}")
-    return "\n".join(lines)
+    if os.access(base if base.exists() else base.parent, os.W_OK):
+        return base
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(home) / "companion-nav"
 
 
 def _numba() -> str:
@@ -82,7 +104,7 @@ def _numba() -> str:
     if spec is None or spec.origin is None:
         return "none"
     said = Path(spec.origin).with_name("_version.py")
-    return f"{said} {hashlib.sha256(said.read_bytes()).hexdigest()[:16]}"
+    return hashlib.sha256(said.read_bytes()).hexdigest()[:16]
 
 
 def _processor() -> str:
@@ -96,18 +118,24 @@ def _processor() -> str:
     return hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
 
 
-def compiled() -> bool:
-    """Whether every kernel of these sources was compiled here before; decided without numba."""
+def home(name: str, kernel_key: str) -> Path:
+    """The folder of one kernel's machine code."""
+    return folder() / f"{name}-{kernel_key}"
+
+
+def stored(name: str, kernel_key: str) -> bool:
+    """Whether that machine code is there."""
     try:
-        said = (Path(os.environ["NUMBA_CACHE_DIR"]) / _MARK).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
+        return any(one.suffix == ".nbc" for one in home(name, kernel_key).iterdir())
+    except OSError:
         return False
-    return said == _state()
 
 
-def note_compiled() -> None:
-    """Remember that every kernel is compiled; a folder that cannot be written forgets it."""
-    folder = Path(os.environ["NUMBA_CACHE_DIR"])
-    with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / _MARK).write_text(_state(), encoding="utf-8")
+def forget_others(name: str, kernel_key: str) -> None:
+    """Remove what the kernel was before; not from a folder that may be shared."""
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return
+    for old in folder().glob(f"{name}-*"):
+        if old.name != f"{name}-{kernel_key}":
+            with suppress(OSError):
+                shutil.rmtree(old)

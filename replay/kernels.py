@@ -1,53 +1,120 @@
-"""Loading the jitted kernels, which is what compiles them on a machine that never ran them.
+"""Loading the jitted kernels beforehand, which compiles those that this machine never compiled.
 
-Kernels carry explicit signatures, so importing their module is enough: numba reads the machine
-code from its on-disk cache, or compiles it and fills the cache (ADR 0004). Run as
-``python -m replay.kernels`` before tests or in an image build, so that nothing later has to wait.
+A kernel is read from the cache or compiled when it is first called (ADR 0004). A command that must
+not wait in flight, or that wants to say why it waits, loads the parts that it uses here. Run as
+``python -m replay.kernels [PART …]`` before tests or in an image build: all parts, two processes
+side by side.
 """
 
 from __future__ import annotations
 
 import importlib
+import re
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
-from companion._kernel_cache import compiled, kernel_sources, note_compiled, root
+from companion import _jit
+from companion.config import Config
 
-# Called before callers: importing a caller first would compile everything behind one name.
-_ORDER = (
-    "companion.navigation", "companion.gnss", "companion.measurements", "companion.estimation",
-    "drivers",
-)  # fmt: skip
+PARTS: dict[str, tuple[str, ...]] = {
+    "filter": (
+        "companion.navigation", "companion.measurements", "companion.estimation", "drivers",
+    ),
+    "smoothing": ("companion.smoothing",),
+    "direct": ("companion.estimation.direct",),
+    "gnss": (
+        "companion.gnss", "companion.measurements.pseudorange",
+        "companion.estimation.receiver_clock",
+    ),
+    "files": ("replay.candump", "replay.dataflash_codec"),
+    "simulator": ("replay.simulator",),
+}  # fmt: skip
+"""Kernels by what needs them: modules that begin with one of the names, the longest one counts."""
+
 # The floor that `bench` compares with is no part of the program; `bench` compiles it.
 _NOT_OURS = "replay.bench"
-
-__all__ = ["compiled", "kernel_modules", "load_all"]
-
-
-def kernel_modules() -> list[str]:
-    """Dotted names of the program's modules that hold kernels, called ones before their callers."""
-    names = [".".join(path.relative_to(root()).with_suffix("").parts) for path in kernel_sources()]
-
-    def rank(name: str) -> int:
-        return next((at for at, part in enumerate(_ORDER) if name.startswith(part)), len(_ORDER))
-
-    return sorted((n for n in names if not n.startswith(_NOT_OURS)), key=rank)
+_KERNEL = re.compile(rb"^@njit\(", re.MULTILINE)
 
 
-def load_all(progress: Callable[[float], None] | None = None) -> float:
-    """Import every module of :func:`kernel_modules`; returns the CPU time it took [s].
+def part_of(module: str) -> str:
+    """The part that a module of kernels belongs to."""
+    fits = {name: part for part, names in PARTS.items() for name in names if begins(module, name)}
+    return fits[max(fits, key=len)]
 
-    ``progress`` is told the fraction of modules done before each of them.
+
+def begins(module: str, package: str) -> bool:
+    """Whether a module is a package or in it."""
+    return f"{module}.".startswith(f"{package}.")
+
+
+@cache
+def kernel_modules() -> tuple[str, ...]:
+    """Dotted names of the program's modules that hold kernels."""
+    root = Path(__file__).parent.parent
+    found = (
+        path.relative_to(root).with_suffix("")
+        for package in ("companion", "drivers", "replay")
+        for path in sorted((root / package).rglob("*.py"))
+        if _KERNEL.search(path.read_bytes())
+    )
+    names = (".".join(path.parts) for path in found)
+    return tuple(name for name in names if not begins(name, _NOT_OURS))
+
+
+def kernels_of(parts: Iterable[str]) -> list[_jit.Kernel[Any, Any]]:
+    """The kernels of ``parts``, called ones before their callers; numba is not imported."""
+    wanted = {module for module in kernel_modules() if part_of(module) in set(parts)}
+    for module in sorted(wanted):
+        importlib.import_module(module)
+    return [kernel for kernel in _jit.made if kernel.__module__ in wanted]
+
+
+def parts_of(config: Config) -> tuple[str, ...]:
+    """What a run with this configuration may call."""
+    asked = {
+        "filter": True,
+        "smoothing": config.smoothing.enabled,
+        "direct": config.engine.estimator == "direct",
+        "gnss": config.raw_gnss.coupling != "off",
+    }
+    return tuple(part for part, used in asked.items() if used)
+
+
+def compiled(*parts: str) -> bool:
+    """Whether the kernels of these parts are all there."""
+    return all(kernel.ready for kernel in kernels_of(parts))
+
+
+def load(parts: Iterable[str] = PARTS, progress: Callable[[float], None] | None = None) -> float:
+    """Compile what is missing of ``parts``; returns the CPU time it took [s].
+
+    ``progress`` is told the fraction of the missing kernels done before each of them.
     """
     begin = time.process_time()
-    names = kernel_modules()
-    for done, name in enumerate(names):
+    missing = [kernel for kernel in kernels_of(parts) if not kernel.ready]
+    for done, kernel in enumerate(missing):
         if progress is not None:
-            progress(done / len(names))
-        importlib.import_module(name)
-    note_compiled()
+            progress(done / len(missing))
+        kernel.load()
     return time.process_time() - begin
 
 
+def _load_side_by_side(parts: tuple[str, ...]) -> float:
+    """The filter first, which most others call; then each further part in one of two processes."""
+    spent = load(["filter"]) if "filter" in parts else 0.0
+    rest = [[part] for part in parts if part != "filter"]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        return spent + sum(pool.map(load, rest))
+
+
 if __name__ == "__main__":
-    print(f"kernels ready, {load_all():.1f} CPU s")
+    asked = tuple(sys.argv[1:]) or tuple(PARTS)
+    if unknown := set(asked) - set(PARTS):
+        sys.exit(f"no part {min(unknown)}; there are {', '.join(PARTS)}")
+    print(f"kernels ready, {_load_side_by_side(asked):.1f} CPU s")

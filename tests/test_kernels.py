@@ -1,65 +1,135 @@
-"""The first start on a machine compiles kernels, and says so; later ones find them."""
+"""What a kernel's machine code is known by, where it is kept, and what a first start says."""
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FunctionType
 
+import msgspec
 import pytest
 
+from companion import _jit
 from companion import _kernel_cache as cache
 from companion.cli import main
+from companion.cli.commands import compile_kernels
+from companion.config import Config
+from companion.navigation import layout
 from replay import kernels
+
+SIGNATURE = "f8(f8)"
+SCALE = 2.0
+
+
+def _called(x: float) -> float:
+    return x * SCALE
+
+
+def _scaled(x: float) -> float:
+    """Its documentation."""
+    return float(called(x)) + 1.0
+
+
+def kernel_of(function: Callable[..., float]) -> _jit.Kernel[..., float]:
+    """As where a module is imported: nothing loaded."""
+    return _jit.Kernel(function, SIGNATURE, True)
+
+
+called = kernel_of(_called)
+
+
+def again(function: Callable[..., object], **others: object) -> str:
+    """The key of the same code where some globals are others."""
+    assert isinstance(function, FunctionType)
+    seen = {**function.__globals__, **others}
+    return cache.key(FunctionType(function.__code__, seen), SIGNATURE)
+
+
+def test_the_key_follows_values_and_called_kernels_and_no_comment() -> None:
+    own = cache.key(_called, SIGNATURE)
+    assert again(_called) == own
+    assert again(_called, SCALE=2.0000000000000004) != own
+    assert cache.key(_called, "f4(f4)") != own
+    caller = cache.key(_scaled, SIGNATURE)
+    other = FunctionType(_called.__code__, {**_called.__globals__, "SCALE": 3.0})
+    assert again(_scaled, called=kernel_of(other)) != caller
+    undocumented = _scaled.__code__.replace(
+        co_consts=tuple(None if c == _scaled.__doc__ else c for c in _scaled.__code__.co_consts)
+    )
+    bare = FunctionType(undocumented, _scaled.__globals__)
+    assert cache.key(bare, SIGNATURE) == caller
+
+
+def _offset(x: float) -> float:
+    return x + layout.HEIGHT
+
+
+def test_the_key_follows_constants_of_our_modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = cache.key(_offset, SIGNATURE)
+    monkeypatch.setattr(layout, "HEIGHT", layout.HEIGHT + 1)
+    assert cache.key(_offset, SIGNATURE) != before
+
+
+def test_a_global_whose_content_cannot_be_told_is_refused() -> None:
+    with pytest.raises(TypeError, match="no name"):
+        again(_called, SCALE=object())
 
 
 @pytest.fixture
-def empty(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    # Their kernels from the cache in use until now, which numba asks for when it is imported.
-    importlib.import_module("numba")
-    importlib.import_module("replay.session")
+def empty(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    return tmp_path / "cache"
+    cache.folder.cache_clear()
+    yield tmp_path / "cache"
+    cache.folder.cache_clear()
 
 
-@pytest.mark.usefixtures("empty")
-def test_an_empty_cache_is_cold_until_everything_was_compiled() -> None:
-    assert not kernels.compiled()
-    cache.note_compiled()
-    assert kernels.compiled()
+def test_machine_code_is_kept_and_found_by_another(empty: Path) -> None:
+    assert not kernel_of(_called).ready
+    assert kernel_of(_called)(3.0) == 6.0
+    assert kernel_of(_called).ready
+    before = [(path, path.stat().st_mtime_ns) for path in empty.rglob("*.nbc")]
+    assert kernel_of(_called)(3.0) == 6.0
+    assert len(before) == 1
+    assert [(path, path.stat().st_mtime_ns) for path in empty.rglob("*.nbc")] == before
 
 
-def test_a_mark_of_other_sources_or_versions_is_cold(empty: Path) -> None:
-    cache.note_compiled()
-    (mark,) = empty.iterdir()
-    mark.write_text(mark.read_text().replace("numba ", "numba 0."))
-    assert not kernels.compiled()
-
-
-def test_a_cache_that_cannot_be_written_stays_cold(empty: Path) -> None:
+def test_a_folder_that_cannot_be_written_compiles_and_goes_on(empty: Path) -> None:
     empty.write_text("a file where the folder would be")
-    cache.note_compiled()
-    assert not kernels.compiled()
+    assert kernel_of(_called)(3.0) == 6.0
+    assert not kernel_of(_called).ready
 
 
-def test_every_module_with_a_kernel_is_loaded_called_before_caller(root: Path) -> None:
-    names = kernels.kernel_modules()
-    assert names.index("companion.navigation.mechanisation") < names.index(
-        "companion.estimation.walk"
-    )
+def test_only_the_newest_stays_in_a_folder_of_our_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path)
+    for name in ("a.walk-1", "a.walk-2", "a.walks-1", "b.walk-1"):
+        (tmp_path / name).mkdir()
+    cache.forget_others("a.walk", "2")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.walk-2", "a.walks-1", "b.walk-1"]
+
+
+def test_every_module_with_a_kernel_has_a_part(root: Path) -> None:
+    modules = kernels.kernel_modules()
+    parts = {module: kernels.part_of(module) for module in modules}
+    assert parts["companion.estimation.direct.walk"] == "direct"
+    assert parts["companion.estimation.walk"] == "filter"
     with_kernels = {
         ".".join(path.relative_to(root).with_suffix("").parts)
         for package in ("companion", "drivers", "replay")
         for path in (root / package).rglob("*.py")
         if "\n@njit" in path.read_text(encoding="utf-8")
     }
-    assert with_kernels - set(names) == {"replay.bench.floor"}
+    assert with_kernels - set(modules) == {"replay.bench.floor"}
 
 
 def test_asking_does_not_import_numba(root: Path) -> None:
     code = (
-        "import sys; from replay import kernels; kernels.compiled(); print('numba' in sys.modules)"
+        "import sys; from replay import kernels; kernels.compiled('filter'); "
+        "print('numba' in sys.modules)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
@@ -68,35 +138,52 @@ def test_asking_does_not_import_numba(root: Path) -> None:
 
 
 @pytest.mark.usefixtures("empty")
-def test_first_start_says_that_it_compiles_once_before_it_does(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    sample_flight: Path,
+def test_first_start_says_that_it_compiles_before_it_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    kernel = kernel_of(_called)
     said: list[str] = []
+    load = kernel.load
 
-    def load_all(_: object) -> float:
+    def noted() -> object:
         said.append(capsys.readouterr().err)
-        cache.note_compiled()
-        return 0.0
+        return load()
 
-    monkeypatch.setattr(kernels, "load_all", load_all)
+    monkeypatch.setattr(kernel, "load", noted)
+    monkeypatch.setattr(kernels, "kernels_of", lambda _: [kernel])
     for _ in range(2):
-        with pytest.raises(SystemExit, match="0"):
-            main(["replay", str(sample_flight), "--out", str(tmp_path / "run.mcap")])
+        compile_kernels(["filter"])
     assert len(said) == 1
     assert "compiling" in said[0]
     assert "once" in said[0]
 
 
 @pytest.mark.usefixtures("empty")
+def test_what_compiles_later_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(kernels, "kernels_of", lambda _: [])
+    compile_kernels([])
+    assert kernel_of(_called)(1.0) + kernel_of(_offset)(1.0) == 3.0 + layout.HEIGHT
+    assert capsys.readouterr().err.count("further kernels") == 1
+
+
 def test_a_log_that_is_not_there_compiles_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(kernels, "load_all", lambda _: pytest.fail("compiled"))
+    monkeypatch.setattr(kernels, "load", lambda *_: pytest.fail("compiled"))
+    monkeypatch.setattr(kernels, "compiled", lambda *_: False)
     with pytest.raises(SystemExit, match="1"):
         main(["replay", str(tmp_path / "absent.tlog")])
+
+
+def test_a_run_loads_the_parts_that_it_may_call() -> None:
+    config = Config()
+    assert kernels.parts_of(config) == ("filter",)
+    smoothing = msgspec.structs.replace(config.smoothing, enabled=True)
+    raw = msgspec.structs.replace(config.raw_gnss, coupling="tight")
+    asked = msgspec.structs.replace(config, smoothing=smoothing, raw_gnss=raw)
+    assert kernels.parts_of(asked) == ("filter", "smoothing", "gnss")
 
 
 def test_a_warm_start_loads_only_what_python_calls(root: Path) -> None:

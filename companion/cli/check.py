@@ -15,6 +15,7 @@ from companion.config import load
 from companion.runtime.check.findings import Finding, findings
 from companion.runtime.check.heard import Heard
 from companion.types import ConfigError
+from replay.kernels import parts_of
 
 _COLOURS = {"ok": "green", "warning": "yellow", "error": "red"}
 _SHOWN_IDS = 16
@@ -25,7 +26,7 @@ def check_config(console: Console, path: Path, seconds: float) -> dict[str, Any]
     config = load(path)
     if not config.can and not config.mavlink.endpoint:
         raise ConfigError(f"{path}: no link to listen to; it needs [[can]] or mavlink.endpoint")
-    compile_kernels()
+    compile_kernels(parts_of(config))
     with present.notice_if_slow(console, "Loading …"):
         from companion.runtime.check.listen import listen
     with present.progress(console, f"Listening for {seconds:g} s") as update:

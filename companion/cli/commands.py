@@ -14,12 +14,13 @@ import msgspec
 from rich.console import Console
 from rich.markup import escape
 
-from companion import present
+from companion import _jit, present
 from companion.config import CanBus, load
 from companion.types import (
     CompanionError,
     Recording,
 )
+from replay import kernels
 from replay.window import Window
 
 if TYPE_CHECKING:
@@ -151,7 +152,9 @@ def read(
     # The units of a CAN recording may be known from the configuration only.
     can = load(config_path).can if config_path is not None else ()
     recording = read_recording(console, logs, vehicle_name, can)
-    return recording, choose_config(recording, config_path)
+    chosen = choose_config(recording, config_path)
+    compile_kernels(kernels.parts_of(chosen.config))
+    return recording, chosen
 
 
 def out_path(out: Path | None, logs: Sequence[Path], ending: str = "run") -> Path:
@@ -214,24 +217,30 @@ def plain(value: Any) -> dict[str, Any]:
     return plain
 
 
-def compile_kernels() -> None:
-    """On a machine that never did, compile every kernel now, visibly; afterwards cost nothing."""
-    from replay import kernels
+def compile_kernels(parts: Sequence[str] = ("filter",)) -> None:
+    """Compile the kernels of ``parts`` where that was never done, visibly; else cost nothing.
 
-    if kernels.compiled():
-        return
+    Parts of :mod:`replay.kernels`. Others compile when they are first called, and a line says so.
+    """
     console = Console(stderr=True, soft_wrap=True)
-    console.print(
-        "First start here: compiling the numerical kernels, once; some two minutes …",
-        style="yellow",
-    )
-    with present.progress(console, "Compiling kernels") as update:
-        kernels.load_all(update)
+    if not kernels.compiled(*parts):
+        console.print(
+            "First start here: compiling the numerical kernels, once; about a minute …",
+            style="yellow",
+        )
+        with present.progress(console, "Compiling kernels") as update:
+            kernels.load(parts, update)
+
+    def tell() -> None:
+        _jit.waits.clear()
+        console.print("Compiling further kernels, once; up to a minute …", style="yellow")
+
+    _jit.waits[:] = [tell]
 
 
 def simulate_scenario(console: Console, scenario: str, output: Path, seed: int) -> dict[str, Any]:
     """Simulate, and write sensor folder, telemetry log and truth into one directory."""
-    compile_kernels()
+    compile_kernels(["simulator"])
     with present.notice_if_slow(console, LOADING):
         from replay.simulator import load_scenario
         from replay.simulator.flight import write_flight
@@ -259,7 +268,7 @@ def run_bench(
     config_path: Path | None,
 ) -> dict[str, Any]:
     """Measure speed, memory and start-up on this machine."""
-    compile_kernels()
+    compile_kernels(tuple(kernels.PARTS))
     with present.notice_if_slow(console, LOADING):
         from replay import bench
     with present.progress(console, "Measuring") as update:

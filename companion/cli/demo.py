@@ -20,7 +20,7 @@ TELL_EVERY_S = 5.0
 
 def run_demo(console: Console, directory: Path, seconds: float, imu_hz: float) -> dict[str, Any]:
     """Fly, show what happens, compare live with replay; what ``--json`` prints."""
-    compile_kernels()
+    compile_kernels(["filter", "simulator", "smoothing"])
     with present.notice_if_slow(console, "Loading …"):
         from replay.demo.flight import Files, fly
     files = Files(directory)

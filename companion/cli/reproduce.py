@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from companion import present
-from companion.cli.commands import LOADING, plain
+from companion.cli.commands import LOADING, compile_kernels, plain
 
 if TYPE_CHECKING:
     from replay.reproduce import paper as papers
@@ -20,6 +20,7 @@ def reproduce_paper(
     console: Console, paper: str, out: Path | None, seeds: int | None
 ) -> dict[str, Any]:
     """Do a paper's experiment, print its tables, and keep them in ``out`` with its figures."""
+    compile_kernels(["filter", "simulator"])
     with present.notice_if_slow(console, LOADING):
         from replay.reproduce.paper import experiment
 

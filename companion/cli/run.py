@@ -15,6 +15,7 @@ from companion import present
 from companion.cli.commands import compile_kernels, plain
 from companion.config import Config, load
 from companion.types import NS, Event, Health, Outputs
+from replay.kernels import parts_of
 
 if TYPE_CHECKING:
     from companion.outputs.publisher import Notice, Publisher
@@ -28,7 +29,7 @@ def run_live(
 ) -> dict[str, Any]:
     """Run on real links until a signal, or for ``seconds``; what ``--json`` prints."""
     config = load(config_path)
-    compile_kernels()
+    compile_kernels(parts_of(config))
     with present.notice_if_slow(console, "Loading the numerical kernels …"):
         from companion.runtime.run import run
         from companion.runtime.start import prepare, warm_up
