@@ -17,6 +17,9 @@ import threading
 import traceback
 from typing import Any
 
+_PARTS = ("filter", "smoothing", "files")
+"""Kernels that most logs need; others compile when a log asks for them."""
+
 
 def main() -> None:
     """Get ready, say so, and work until told no more."""
@@ -49,16 +52,15 @@ def _say(answers: Any, answer: dict[str, Any]) -> None:
 def _get_ready() -> None:
     """Load the kernels; where they have to be compiled, by one process for all."""
     import fcntl
-    from pathlib import Path
 
+    from companion._kernel_cache import folder
     from replay import kernels
 
-    if not kernels.compiled():
-        folder = Path(os.environ["NUMBA_CACHE_DIR"])
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / "batch.lock").open("w") as lock:
+    if not kernels.compiled(*_PARTS):
+        folder().mkdir(parents=True, exist_ok=True)
+        with (folder() / "batch.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            kernels.load_all()
+            kernels.load(_PARTS)
     import replay.batch.one_log  # noqa: F401, what takes long to load
 
 

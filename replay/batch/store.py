@@ -14,7 +14,6 @@ from pathlib import Path
 import msgspec
 
 from companion import __version__
-from companion._kernel_cache import root
 from companion.config import load
 from replay.batch.outcome import Outcome
 
@@ -25,9 +24,10 @@ _DONE = "done"
 def program() -> str:
     """Version and sources of what works on a log: other code may give other bits."""
     digest = hashlib.sha256(__version__.encode())
+    root = Path(__file__).parents[2]
     for package in ("companion", "drivers", "replay"):
-        for path in sorted((root() / package).rglob("*.py")):
-            digest.update(str(path.relative_to(root())).encode() + path.read_bytes())
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return f"{__version__}-{digest.hexdigest()[:12]}"
 
 
