@@ -528,12 +528,18 @@ def watch(
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="One picture, then exit.")] = False,
     web: Annotated[bool, typer.Option("--web", help="As a page for a browser.")] = False,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="For Foxglove and Lichtblick, as a WebSocket.")
+    ] = False,
     bind: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="With --web: where to serve. No password!")
+        str, typer.Option(metavar="ADDRESS", help="Where to serve these two. No password!")
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="With --web; 0: any that is free.")
-    ] = 8470,
+        int | None,
+        typer.Option(
+            min=0, max=65535, show_default="8470 and 8765", help="Of these two; 0: any free one."
+        ),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="One picture as one JSON object on stdout.")
     ] = False,
@@ -545,13 +551,18 @@ def watch(
     Example: companion watch --connect tcp/192.168.1.20:7447 --web
     """
     console = _console(as_json)
-    if web:
-        if once or as_json:
-            raise typer.BadParameter("--web does not go with --once or --json")
+    if web + foxglove + (once or as_json) > 1:
+        raise typer.BadParameter("only one of --web, --foxglove and --once (or --json)")
+    if web or foxglove:
         from companion.cli.watch import listen_to
-        from companion.cli.watch_web import serve
 
-        serve(console, *listen_to(vehicle, connect, zenoh_config), bind, port)
+        subscriber, where = listen_to(vehicle, connect, zenoh_config)
+        if web:
+            from companion.cli.watch_web import serve
+        else:
+            from companion.cli.watch_foxglove import serve
+        chosen = port if port is not None else 8470 if web else 8765
+        serve(console, subscriber, where, bind, chosen)
         return
     from companion.cli.watch import watch as follow
 
