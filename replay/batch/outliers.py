@@ -17,8 +17,9 @@ from replay.batch.outcome import Outcome, Row
 LIMIT = 3.5
 FEWEST = 8
 """Fewer logs have no usual value to stand out from."""
-_LEAST_SPREAD = 0.1
-"""Of the logarithm: in a batch of twins a tenth more is no outlier yet."""
+_LEAST_SPREAD = 0.35
+"""Of the logarithm: among twins, or where most have none of it, what is beyond the limit is still
+more than three times the usual."""
 
 _RANK = {"bad": 0, "degraded": 1, "good": 2}
 

@@ -101,7 +101,7 @@ def _rows(found: Sequence[Found]) -> str:
         "sorts, on a log opens its report.</p>"
         '<input id="filter" type="search" placeholder="Only logs with these words …">'
         '<div class="scroll wide"><table><thead><tr><th></th><th>Log</th>'
-        f"{heads}<th>What stands out, or the verdict</th></tr></thead><tbody>{lines}</tbody>"
+        f"<th>What stands out, or the verdict</th>{heads}</tr></thead><tbody>{lines}</tbody>"
         "</table></div></section>"
     )
 
@@ -117,8 +117,8 @@ def _row(at: int, one: Found) -> str:
     return (
         f'<tr class="{style}" data-order="{at}">'
         f'<td class="mark" title="{html.escape(row.headline)}" data-v="{_RANK[row.verdict]}"></td>'
-        f'<td><a href="{quote(row.report)}">{html.escape(name)}</a></td>{cells}'
-        f"<td>{html.escape(said)}</td></tr>"
+        f'<td><a href="{quote(row.report)}">{html.escape(name)}</a></td>'
+        f"<td>{html.escape(said)}</td>{cells}</tr>"
     )
 
 
@@ -203,7 +203,7 @@ def _ticks(low: float, high: float, floor: float) -> list[tuple[float, float]]:
         for first in (1, 3) if high - low < 3 else (1,):
             value = first * 10.0**decade
             at = math.log10(value + floor)
-            if low <= at <= high and (not found or at - found[-1][1] > 0.05 * (high - low)):
+            if low <= at <= high and (not found or at - found[-1][1] > 0.07 * (high - low)):
                 found.append((value, at))
     return found
 
