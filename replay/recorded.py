@@ -91,9 +91,10 @@ def record(
     imu = choose_imu(vehicle, config)
     ring_ns = round(config.engine.delay_ring_s * NS)
     aids = [_in_time(a, imu, config, ring_ns) for a in choose_aids(vehicle, config)]
-    if config.raw_gnss.coupling == "tight":
+    if inputs and config.raw_gnss.coupling == "tight":
         raise ConfigError(
-            "key 'raw_gnss.coupling': 'tight' runs cannot be smoothed yet; 'loose' ones can"
+            "key 'raw_gnss.coupling': a 'tight' run does not go backwards in time, as two-filter "
+            "smoothing does: its satellites do not; take bryson-frazier or rts"
         )
     sessions = _sessions(imu)
     engine = Engine(config, _recording(covariance, tape, inputs))
@@ -184,9 +185,26 @@ def _in_order(
         for begin in range(first, last, step):
             block = imu.take(slice(begin, min(begin + step, last)))
             newest = int(block.t_ns.max()) - _imu_latency_ns(config)
+            due: list[AidingSamples] = []
             for index, stream in enumerate(waiting):
                 ready = int(np.searchsorted(_validity(stream, config), newest, side="right"))
                 if ready:
-                    yield stream.take(slice(0, ready))
+                    due.append(stream.take(slice(0, ready)))
                     waiting[index] = stream.take(slice(ready, None))
+            yield from _in_turn(due)
             yield block
+
+
+def _in_turn(due: list[AidingSamples]) -> Iterator[AidingSamples]:
+    """Streams as they are, but a receiver's epochs and messages in turn, as they arrived.
+
+    An epoch must find the ephemerides that were there then, no later ones.
+    """
+    raw = [s for s in due if isinstance(s, RawGnssSamples | BroadcastSamples)]
+    yield from (s for s in due if not isinstance(s, RawGnssSamples | BroadcastSamples))
+    arrivals = sorted((int(seq), k) for k, s in enumerate(raw) for seq in s.seq.tolist())
+    at = [0] * len(raw)
+    for k, run in itertools.groupby(arrivals, key=lambda one: one[1]):
+        count = len(list(run))
+        yield raw[k].take(slice(at[k], at[k] + count))
+        at[k] += count

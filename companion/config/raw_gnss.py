@@ -47,6 +47,11 @@ class RawGnss(Section):
     """Receiver clock: random walk of its bias [m/√s]."""
     clock_drift_walk_mps_rts: float = 0.2
     """And of its drift [m/s/√s]."""
+    clock_ramp_mps2: float = 0.2
+    """Change of its drift as its quartz warms up or cools, 1σ [m/s²]: 0.03 ppm/°C and 1 °C a minute
+    make 0.15 m/s²; with an oven, 0.01 or less."""
+    clock_ramp_tau_s: float = 200.0
+    """How long a change of temperature lasts."""
     system_bias_sd_m: float = 100.0
     """Bias of Galileo and BeiDou against GPS in the receiver, 1σ at the start."""
     system_bias_walk_m_rts: float = 0.01
@@ -58,7 +63,8 @@ def check_raw_gnss(raw: RawGnss) -> None:
     for name, unit in (
         ("sd_range_m", "metres"), ("sd_rate_mps", "m/s"), ("clock_walk_m_rts", "m/√s"),
         ("clock_drift_walk_mps_rts", "m/s/√s"), ("system_bias_sd_m", "metres"),
-        ("system_bias_walk_m_rts", "m/√s"),
+        ("system_bias_walk_m_rts", "m/√s"), ("clock_ramp_mps2", "m/s²"),
+        ("clock_ramp_tau_s", "seconds"),
     ):  # fmt: skip
         positive(f"raw_gnss.{name}", getattr(raw, name), unit)
     within("raw_gnss.latency_ms", raw.latency_ms, 0.0, 2000.0, "milliseconds")

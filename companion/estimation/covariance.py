@@ -44,7 +44,7 @@ from companion.navigation.layout import (
     MAX_STATES,
     POS,
     SUM_T,
-    SUM_XA,
+    SUM_XC,
     VEL,
 )
 from companion.navigation.layout import P as P_OFFSET
@@ -177,7 +177,7 @@ def _decay_and_noise(s: F64, P: F64, lay: I64, par: F64, q: F64) -> None:
         P[at + 2, at + 2] += par[GNSS_PSD_DOWN] * span
     if lay[L_BARO] >= 0:
         P[lay[L_BARO], lay[L_BARO]] += par[BARO_PSD] * T
-    step_clock(s, lay, par, T)
+    step_clock(s, lay, par, T, q)
     qv = velocity_noise(s, par)
     attitude_noise(s, par, q)
     at = 0
@@ -232,7 +232,7 @@ def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
             P[i, j] = Y[i, 1 + j]
             P[j, i] = Y[i, 1 + j]
     _decay_and_noise(s, P, lay, par, W[0])
-    for i in range(SUM_T, SUM_XA + 1):
+    for i in range(SUM_T, SUM_XC + 1):
         s[i] = 0.0
     # Counted, not asked one by one: the compiler makes vector code of it.
     broken = 0

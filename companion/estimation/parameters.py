@@ -11,7 +11,7 @@ from companion.config import DEG, Config
 from companion.estimation.adaptation.parameters import SIZE as ADAPTATION_SIZE
 from companion.estimation.adaptation.parameters import adaptation_vector, method_code
 from companion.estimation.chi_square import exceeded_with
-from companion.navigation.layout import Layout
+from companion.navigation.layout import RAMP, SYSTEM, Layout
 from companion.types import F64, I64, NS
 
 (
@@ -47,8 +47,10 @@ from companion.types import F64, I64, NS
     CLOCK_PSD,  # receiver clock: bias [m²/s], drift [(m/s)²/s]
     CLOCK_DRIFT_PSD,
     SYSTEM_BIAS_PSD,
+    CLOCK_RAMP_VAR,  # of its drift's change in a temperature that changes [(m/s²)²]
+    CLOCK_RAMP_TAU,  # [s]
     ADAPTATION_AT,  # from here on: adaptation/parameters.py
-) = range(33)
+) = range(35)
 SIZE = ADAPTATION_AT + ADAPTATION_SIZE
 
 # --- integer parameters
@@ -113,6 +115,8 @@ def parameter_vector(config: Config) -> F64:
     p[CLOCK_PSD] = config.raw_gnss.clock_walk_m_rts**2
     p[CLOCK_DRIFT_PSD] = config.raw_gnss.clock_drift_walk_mps_rts**2
     p[SYSTEM_BIAS_PSD] = config.raw_gnss.system_bias_walk_m_rts**2
+    p[CLOCK_RAMP_VAR] = config.raw_gnss.clock_ramp_mps2**2
+    p[CLOCK_RAMP_TAU] = config.raw_gnss.clock_ramp_tau_s
     p[ADAPTATION_AT:] = adaptation_vector(config.adaptation)
     return p
 
@@ -173,5 +177,7 @@ def initial_variances(config: Config, lay: Layout) -> F64:
         v[lay.gnss + 2] = config.gnss.slow_error_height_sd_m**2
     if lay.clock >= 0:
         v[lay.clock], v[lay.clock + 1] = CLOCK_SD_M**2, CLOCK_DRIFT_SD_MPS**2
-        v[lay.clock + 2 : lay.clock + 4] = config.raw_gnss.system_bias_sd_m**2
+        at = lay.clock + SYSTEM
+        v[at : at + 2] = config.raw_gnss.system_bias_sd_m**2
+        v[lay.clock + RAMP] = config.raw_gnss.clock_ramp_mps2**2
     return v

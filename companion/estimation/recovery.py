@@ -34,6 +34,9 @@ Decision = tuple[Phase | None, list[Event]]
 def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
     """What became of the source since the last decision, and whether something is taken anew."""
     f = phase.filters[0]
+    refused = int(f.k[lo.REFUSED_SINCE])
+    if refused and t - refused > setup.ipar[par.RELOCK_NS] and (fixes := agreeing_fixes(aids, t)):
+        return _at_ranges(setup, f, t, aids, fixes)
     if f.s[lo.VELOCITY_FIT] > w.LOST_FIT and (fixes := agreeing_fixes(aids, t)):
         # Position alone can be off for long where a receiver erred; velocity that never fits means
         # that the attitude is wrong: on the move its heading, which nothing else holds; without way
@@ -218,6 +221,21 @@ def _restarted(
     sf.forget(s, k)
     k[lo.RESETS] += 1
     return s, k
+
+
+def _at_ranges(setup: Setup, f: Filter, t: int, aids: SampleBuffer, fixes: list[int]) -> Decision:
+    """The filter at the place that the ranges tell among themselves, its clock found anew."""
+    since = int(f.k[lo.REFUSED_SINCE])
+    s, k = _restarted(setup, f, t, aids, fixes)
+    P, clock = setup.covariance(s), setup.layout.clock
+    for m in range(clock, clock + lo.CLOCK_STATES):
+        P[m, :], P[:, m] = 0.0, 0.0
+        P[m, m] = par.initial_variances(setup.config, setup.layout)[m]
+    k[lo.REFUSED_SINCE] = 0
+    new = Phase(t + 1, Mode.NAVIGATING, [setup.new_filter(s, k)])
+    new.checks = [Check(t)]
+    text = f"position reset to the ranges, most refused for {(t - since) / NS:.0f} s"
+    return new, [Event(t, "relocked", text, "warning")]
 
 
 def _relearn_level(setup: Setup, s: F64, k: I64, t: int) -> tuple[Phase, Event]:

@@ -8,7 +8,7 @@ so the tape reads in both directions.
 kind        fine                                       coarse
 ==========  =========================================  ==================================
 STEP        T and the sums behind Φ of one covariance  velocity, latitude, height, noise,
-            interval                                   factor on the biases' noise
+            interval                                   factor on the biases' noise, clock let go
 TURN        correction of φ (3)                        –
 FADE        α² that P was multiplied by                –
 ROW         –                                          upper triangle of P, where wanted
@@ -42,6 +42,7 @@ from companion.navigation.layout import (
     L_N,
     LAT,
     SUM_T,
+    SUM_XC,
     VEL_N,
 )
 from companion.navigation.layout import P as P_OFFSET
@@ -56,7 +57,8 @@ STEP, TURN, ROW, FADE, UPDATE = 0, 1, 2, 3, 4
 FIX, PLAIN_ROW, FULL_ROW = -1, -2, -3
 
 # --- columns of a step in `coarse`
-C_VEL, C_LAT, C_HEIGHT, C_NOISE_V, C_NOISE_A, C_NOISE_B, C_STEP = 0, 3, 4, 5, 6, 12, 13
+C_VEL, C_LAT, C_HEIGHT, C_NOISE_V, C_NOISE_A, C_NOISE_B = 0, 3, 4, 5, 6, 12
+C_LET_GO, C_STEP = 13, 14
 # --- and in `fine`: T, ∫f (3), ∫∫f (3), ∫C (9), with scale states ∫C diag(f) (9), ∫C diag(ω) (9)
 F_STEP, F_STEP_WITH_SCALE = 16, 34
 # --- columns of an update in `fine`; H behind the gain
@@ -100,6 +102,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     for i in range(6):
         c[C_NOISE_A + i] = q[i]
     c[C_NOISE_B] = bias_noise(s)
+    c[C_LET_GO] = s[SUM_XC]
     size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     for i in range(size):
         fine[at[FINE] + i] = s[SUM_T + i]

@@ -32,6 +32,7 @@ from companion.estimation.parameters import (
     NHC_LEVER,
     NHC_VAR,
     OUTPUT_NS,
+    RELOCK_NS,
     SNAPSHOT_NS,
     STILL_ACCEL,
     STILL_GYRO,
@@ -57,6 +58,8 @@ from companion.navigation.layout import (
     ACCEL_BIAS_B,
     DX,
     EARTH_RATE,
+    EPOCH_SEEN,
+    EPOCH_TAKEN,
     GNSS_GROUND_SPEED,
     GNSS_SPEED,
     GNSS_SPEED_SD,
@@ -66,9 +69,11 @@ from companion.navigation.layout import (
     LAST_ACCEL,
     LAST_GYRO,
     LAT,
+    REFUSED_SINCE,
     RESETS,
     STANDING,
     SUM_XA,
+    SUM_XC,
     SUM_XV,
     T_CHECK,
     T_CONSTRAINT,
@@ -106,7 +111,8 @@ KIND_RANGE = 5
 A_VALUE, A_VELOCITY, A_VAR, A_VAR_VELOCITY = 0, 3, 6, 9
 A_AZIMUTH = 3
 A_SATELLITES = 12  # NaN: unknown
-AID_SIZE = 13
+A_LET_GO = 13  # 1: the receiver's clock jumped in front of this epoch, nobody knows how far
+AID_SIZE = 14
 
 # --- columns of an output row
 O_LAT, O_VEL, O_Q, O_ACCEL_BIAS, O_GYRO_BIAS, O_COV, O_MODE, O_RESETS = 0, 3, 6, 10, 13, 16, 46, 47
@@ -225,7 +231,8 @@ def fuse_gnss(
             fuse(s, lay, par, ipar, _COURSE, source, 0.0, H, y, R, 1, W, reports[count], tape)
             reports_t[count] = t
             count += 1
-    after_fix(s, lay, ipar, tape)
+    if halves > 0:
+        after_fix(s, lay, ipar, tape)
     if taken:
         record_fix(tape, t)
     return count
@@ -277,9 +284,26 @@ def fuse_ranges(
         if rate:
             if good:
                 k[T_VELOCITY_AID] = t
-        elif good:
-            k[T_POSITION_AID] = t
+        else:
+            k[EPOCH_SEEN] += 1
+            k[EPOCH_TAKEN] += good
     return count
+
+
+@njit(f"void(f8[::1], i8[::1], i8[::1], i8[::1], i8, {RECORDER})", cache=True)
+def end_epoch(s: F64, k: I64, lay: I64, ipar: I64, t: int, tape: Recorder) -> None:
+    """What is due once all satellites of an epoch are in: it counts as a fix if most agree.
+
+    One satellite more or less that agrees by chance says nothing of the place.
+    """
+    if 2 * k[EPOCH_TAKEN] > k[EPOCH_SEEN]:
+        k[T_POSITION_AID] = t
+        k[REFUSED_SINCE] = 0
+        after_fix(s, lay, ipar, tape)
+        record_fix(tape, t)
+    elif k[REFUSED_SINCE] == 0:
+        k[REFUSED_SINCE] = t
+    k[EPOCH_SEEN] = k[EPOCH_TAKEN] = 0
 
 
 @njit(
@@ -451,13 +475,18 @@ def _step(
     k[T_NOW] = t
 
 
-@njit("b1(f8[::1], i8[::1], i8[::1], f8[::1])", cache=True)
-def doubtful(s: F64, k: I64, lay: I64, par: F64) -> bool:
-    """Whether a decision above the kernel is due: diverged, velocity never fits, source news."""
+@njit("b1(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1])", cache=True)
+def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
+    """Whether a decision above the kernel is due.
+
+    Diverged, ranges refused for long, velocity never fits, source news.
+    """
     n = lay[L_N]
     if s[P_OFFSET] + s[P_OFFSET + n + 1] > par[DIVERGED_VAR]:
         return True
     if undecided(k):
+        return True
+    if k[REFUSED_SINCE] > 0 and k[T_NOW] - k[REFUSED_SINCE] > ipar[RELOCK_NS]:
         return True
     return bool(s[VELOCITY_FIT] > LOST_FIT)
 
@@ -519,7 +548,7 @@ def walk(
         if (
             t >= check_ns
             and k[T_CHECK] != k[T_IMU]
-            and (ipar[BANK] == 1 or doubtful(s, k, lay, par))
+            and (ipar[BANK] == 1 or doubtful(s, k, lay, par, ipar))
         ):
             code = STOP_CHECK
             break
@@ -531,6 +560,8 @@ def walk(
             k[HAVE_IMU] = 1
         healthy = True
         while j < at[3] and aid_t[j] <= t:
+            if aid[j, A_LET_GO] == 1.0:
+                s[SUM_XC] = 1.0
             _step(s, k, scale, par, sample, aid_t[j], t, mixed, C)
             record_step(tape, s, lay, par)
             healthy = propagate(s, lay, par, B, W) and healthy
@@ -539,6 +570,9 @@ def walk(
                 reports_t, reports, n_reports, tape,
             )  # fmt: skip
             j += 1
+            # Ranges are the last kind at their time.
+            if k[EPOCH_SEEN] > 0 and (j == at[3] or aid_t[j] != aid_t[j - 1]):
+                end_epoch(s, k, lay, ipar, aid_t[j - 1], tape)
         _step(s, k, scale, par, sample, t, t, mixed, C)
         for c in range(6):
             s[LAST_GYRO + c] = sample[c]

@@ -41,6 +41,7 @@ FAULT_PROBABILITY = 1e-4
 GUESS_S = 600.0
 """A place this old no longer tells elevations or clock steps."""
 MOST_DOF = 64
+FASTEST_MPS = 100.0
 
 
 @cache
@@ -71,6 +72,8 @@ class Prepared:
     without: dict[str, list[int]]
     """Satellites that could not be used, by reason."""
     events: tuple[Event, ...]
+    let_go: bool = False
+    """The receiver's clock jumped in front of it, by more than this epoch can tell."""
 
 
 class Receiver:
@@ -135,7 +138,9 @@ class Receiver:
         solved = code == SOLVED
         self.unsolved += not solved and code != TOO_FEW
         excluded: tuple[int, ...] = ()
+        jumps = self.clock.jumps
         offset = self._offset(now, rows, point if solved else None)
+        let_go = self.clock.jumps > jumps
         keep = np.ones(len(rows), np.bool_)
         if solved and self.config.exclude:
             # Judged by the residuals; the only one of its system was left out without judgement.
@@ -154,7 +159,11 @@ class Receiver:
         systems = rows[:, S_SYSTEM].astype(np.int64)
         dilution(_lines(sky), systems, len(rows), dop)
         events = self._events(t_ns, rows, dop, excluded, without)
-        return Prepared(t_ns, rows, sky, point if solved else None, dop, excluded, without, events)
+        if let_go:
+            text = "the receiver's clock jumped: it is found again"
+            events = (Event(t_ns, "receiver-clock", text), *events)
+        at = point if solved else None
+        return Prepared(t_ns, rows, sky, at, dop, excluded, without, events, let_go)
 
     def _offset(self, now: float, rows: F64, point: F64 | None) -> float:
         """Clock offset to take off; without a solution, steps are looked for at the last place."""
@@ -169,7 +178,9 @@ class Receiver:
         here, u = np.empty(3), np.empty(3)
         geodetic(self._place[0], self._place[1], self._place[2], here)
         seen = [row[S_RANGE] - expected_range(row, self._place, here, u) for row in rows]
-        return self.clock.take(now, float(np.median(seen)), math.nan)
+        # The vehicle has gone on since it was last known where it is.
+        doubt = FASTEST_MPS * (now - self._place_s)
+        return self.clock.take(now, float(np.median(seen)), math.nan, doubt)
 
     def _choose(self, rows: F64, sky: F64) -> I64:
         """Rows of the satellites to use: all, or the best set of the configured size."""

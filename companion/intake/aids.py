@@ -135,6 +135,7 @@ class AidIntake:
             kind, latency_ms = w.KIND_RANGE, self.config.raw_gnss.latency_ms
             rows, verdict = _blank(len(samples))
             rows[:, :ROW_SIZE] = samples.rows
+            rows[:, w.A_LET_GO] = samples.let_go
         elif isinstance(samples, BaroSamples):
             if not self.config.baro.use:
                 return None

@@ -38,6 +38,8 @@ class RangeSamples(Samples):
 
     rows: F64
     """(N, 12) columns ``S_`` of :mod:`companion.gnss.corrected`."""
+    let_go: F64
+    """(N,) 1 at the first row of an epoch in front of which the receiver's clock jumped, else 0."""
 
     @property
     def sat(self) -> I64:
@@ -75,10 +77,16 @@ class RangeIntake:
                 prepared.append((self.receiver.take(arrival, m), arrival, m))
         others = [a for a in others if not isinstance(a, GnssSamples)]
         made: list[AidingSamples | RangeSamples] = [*others]
-        fixes = [(p.point, a, m) for p, a, m in prepared if p.point is not None]
+        tight = self._coupling == "tight"
+        # The clock is let go by the first row of its epoch, which a fix must not precede.
+        fixes = [
+            (p.point, a, m)
+            for p, a, m in prepared
+            if p.point is not None and not (tight and p.let_go)
+        ]
         if fixes:
             made.append(_fixes(fixes))
-        if self._coupling == "tight" and any(len(p.rows) for p, _, _ in prepared):
+        if tight and any(len(p.rows) for p, _, _ in prepared):
             made.append(_ranges(prepared))
         return made, [event for p, _, _ in prepared for event in p.events]
 
@@ -89,13 +97,15 @@ def _stamps(arrival: RawGnssSamples, m: int) -> tuple[int, int, int]:
 
 def _ranges(prepared: list[tuple[Prepared, RawGnssSamples, int]]) -> RangeSamples:
     """Satellites of each epoch by number, the order in which they are fused."""
-    stamps, rows = [], []
+    stamps, rows, let_go = [], [], []
     for p, arrival, m in prepared:
         rows.append(p.rows[np.argsort(p.rows[:, S_SAT], kind="stable")])
         stamps += [_stamps(arrival, m)] * len(p.rows)
+        let_go += [float(p.let_go and i == 0) for i in range(len(p.rows))]
     t, rx, seq = np.array(stamps, np.int64).reshape(-1, 3).T
     every = np.concatenate(rows).reshape(-1, ROW_SIZE)
-    return RangeSamples(prepared[0][1].source, t.copy(), rx.copy(), seq.copy(), every)
+    source = prepared[0][1].source
+    return RangeSamples(source, t.copy(), rx.copy(), seq.copy(), every, np.array(let_go))
 
 
 def _fixes(points: list[tuple[F64, RawGnssSamples, int]]) -> GnssSamples:

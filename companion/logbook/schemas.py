@@ -28,6 +28,8 @@ MESSAGES: dict[str, Any] = {
         samples_pb2.MagBatch,
         samples_pb2.AttitudeBatch,
         samples_pb2.ReferenceBatch,
+        samples_pb2.RawGnssBatch,
+        samples_pb2.BroadcastBatch,
         samples_pb2.RawBatch,
         navigation_pb2.NavState,
         navigation_pb2.SolutionBatch,

@@ -19,7 +19,7 @@ from companion.gnss.corrected import S_RANGE, S_RATE, S_SYSTEM, S_VEL, expected_
 from companion.gnss.geometry import ned_axes
 from companion.measurements.gnss import position, velocity
 from companion.navigation.earth import E2, radii
-from companion.navigation.layout import CLOCK, HEIGHT, L_CLOCK, L_N, LAT, LON, POS
+from companion.navigation.layout import CLOCK, DRIFT, HEIGHT, L_CLOCK, L_N, LAT, LON, POS, SYSTEM
 from companion.types import F64, I64
 
 NO_RATE = 1
@@ -61,14 +61,14 @@ def satellite(s: F64, lay: I64, C: F64, row: F64, H: F64, y: F64) -> int:
     system = int(row[S_SYSTEM])
     y[0] = row[S_RANGE] - expected_range(row, x, here, u_e) - s[CLOCK]
     if system > 0:
-        y[0] -= s[CLOCK + 1 + system]
+        y[0] -= s[CLOCK + SYSTEM - 1 + system]
     for i in range(3):
         u[i] = axes[i, 0] * u_e[0] + axes[i, 1] * u_e[1] + axes[i, 2] * u_e[2]
     for j in range(n):
         H[0, j] = -(u[0] * full[0, j] + u[1] * full[1, j] + u[2] * full[2, j])
     H[0, clock] = 1.0
     if system > 0:
-        H[0, clock + 1 + system] = 1.0
+        H[0, clock + SYSTEM - 1 + system] = 1.0
     if math.isnan(row[S_RATE]):
         return NO_RATE
     w[:] = 0.0
@@ -77,10 +77,10 @@ def satellite(s: F64, lay: I64, C: F64, row: F64, H: F64, y: F64) -> int:
         w[i] = -v_e[i]
     for i in range(3):
         v_e[i] = axes[0, i] * w[0] + axes[1, i] * w[1] + axes[2, i] * w[2]
-    y[1] = row[S_RATE] - range_rate(row, u_e, x, v_e) - s[CLOCK + 1]
+    y[1] = row[S_RATE] - range_rate(row, u_e, x, v_e) - s[CLOCK + DRIFT]
     for j in range(n):
         H[1, j] = -(u[0] * full[0, j] + u[1] * full[1, j] + u[2] * full[2, j])
-    H[1, clock + 1] = 1.0
+    H[1, clock + DRIFT] = 1.0
     along, distance = 0.0, 0.0
     for i in range(3):
         along += u_e[i] * (row[S_VEL + i] - v_e[i])

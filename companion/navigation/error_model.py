@@ -25,6 +25,7 @@ from companion.navigation.layout import (
     ATT,
     BARO_BIAS,
     CLOCK,
+    CLOCK_STATES,
     EARTH_RATE,
     GNSS_BIAS,
     GYRO_BIAS,
@@ -81,7 +82,7 @@ def box_plus(s: F64, lay: I64, dx: F64) -> None:
     if lay[L_BARO] >= 0:
         s[BARO_BIAS] += dx[lay[L_BARO]]
     if lay[L_CLOCK] >= 0:
-        for i in range(4):
+        for i in range(CLOCK_STATES):
             s[CLOCK + i] += dx[lay[L_CLOCK] + i]
 
 

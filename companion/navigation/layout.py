@@ -26,26 +26,27 @@ GYRO_SCALE_B = 19  # (3)
 LEVER_B = 22  # (3) IMU to antenna
 BARO_BIAS = 25  # pressure height − height
 GNSS_BIAS = 26  # (3) slow error of the receiver's position, NED
-CLOCK = 29  # (4) receiver clock [m] and drift [m/s]; biases of Galileo and BeiDou against GPS [m]
+CLOCK = 29  # (5) receiver clock [m], drift [m/s]; biases of Galileo, BeiDou [m]; ramp [m/s²]
 # --- previous inertial sample as measured
-LAST_GYRO = 33  # (3)
-LAST_ACCEL = 36  # (3)
+LAST_GYRO = 34  # (3)
+LAST_ACCEL = 37  # (3)
 # --- sums over the running covariance interval
-SUM_T = 39  # T
-SUM_V = 40  # (3) ∫ f_n dt
-SUM_P = 43  # (3) ∫∫ f_n dt dt
-SUM_C = 46  # (9) ∫ C_nb dt
-SUM_CF = 55  # (9) ∫ C_nb diag(f) dt
-SUM_CW = 64  # (9) ∫ C_nb diag(ω) dt
-SUM_XV = 73  # extra velocity variance of bridged gaps [m²/s²]
-SUM_XA = 74  # extra attitude variance of bridged gaps [rad²]
+SUM_T = 40  # T
+SUM_V = 41  # (3) ∫ f_n dt
+SUM_P = 44  # (3) ∫∫ f_n dt dt
+SUM_C = 47  # (9) ∫ C_nb dt
+SUM_CF = 56  # (9) ∫ C_nb diag(f) dt
+SUM_CW = 65  # (9) ∫ C_nb diag(ω) dt
+SUM_XV = 74  # extra velocity variance of bridged gaps [m²/s²]
+SUM_XA = 75  # extra attitude variance of bridged gaps [rad²]
+SUM_XC = 76  # how often the receiver's clock was let go
 # --- running likelihood of the aiding, for the bank over headings
-LOG_LIKELIHOOD = 75
+LOG_LIKELIHOOD = 77
 # --- Earth rotation rate in force [rad/s]: earth.RATE; its negative where time runs backwards
-EARTH_RATE = 76
+EARTH_RATE = 78
 # --- total error state in feedforward mode
-DX = 77  # (MAX_STATES)
-MAX_STATES = 32
+DX = 79  # (MAX_STATES)
+MAX_STATES = 33
 # --- last GNSS speed, for the standstill veto and COASTING
 GNSS_SPEED = DX + MAX_STATES
 GNSS_SPEED_SD = GNSS_SPEED + 1
@@ -97,11 +98,16 @@ T_CHECK = 14  # sample at which the last decision above the kernel was taken
 TAPE_AT = 15  # (6) where the smoother's tape stands, see tape.py
 SOURCE_K = 21  # as SOURCE
 SOURCE_INTS = 10
-INT_SIZE = SOURCE_K + 2 * SOURCE_INTS
+EPOCH_SEEN = SOURCE_K + 2 * SOURCE_INTS  # ranges of the running epoch
+EPOCH_TAKEN = EPOCH_SEEN + 1  # those that were accepted
+REFUSED_SINCE = EPOCH_SEEN + 2  # time from which on most ranges of every epoch were refused
+INT_SIZE = EPOCH_SEEN + 3
 
 # --- error state
 POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
 CORE_STATES = 15
+# --- of the clock's states, which come in one block
+BIAS, DRIFT, SYSTEM, RAMP, CLOCK_STATES = 0, 1, 2, 4, 5
 
 # --- entries of the layout vector handed to kernels
 L_N, L_ACCEL_SCALE, L_GYRO_SCALE, L_LEVER, L_BARO, L_GNSS, L_CLOCK = range(7)
@@ -133,7 +139,7 @@ class Layout:
             ("lever", lever, 3),
             ("baro", baro, 1),
             ("gnss", gnss, 3),
-            ("clock", clock, 4),
+            ("clock", clock, CLOCK_STATES),
         ):
             if wanted:
                 index[name] = at

@@ -20,6 +20,7 @@ import numpy as np
 
 from companion._jit import njit
 from companion.estimation.covariance import STRIDE
+from companion.estimation.receiver_clock import carry_clock, carry_clock_back
 from companion.estimation.tape import (
     C_STEP,
     F32,
@@ -42,6 +43,7 @@ from companion.navigation.error_model import transition_blocks
 from companion.navigation.layout import (
     ATT,
     L_ACCEL_SCALE,
+    L_CLOCK,
     L_GYRO_SCALE,
     L_N,
 )
@@ -107,7 +109,7 @@ def backward(
     :func:`forward`.
     """
     n = lay[L_N]
-    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
     size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d = np.empty(n)
@@ -129,6 +131,8 @@ def backward(
                 steps[m, j] = x[j]
                 x[j] *= d[j]
             carry_back(B, i_sa, i_sg, x)
+            if clock >= 0:
+                carry_clock_back(float(fine[f]), x[clock:])
         elif kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
             r = fine[f + F_R]
@@ -173,7 +177,7 @@ def forward(
     to the forward solution at each output row.
     """
     n = lay[L_N]
-    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
     size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d, q = np.empty(n), np.empty(n)
@@ -189,11 +193,13 @@ def forward(
             decay_factors(T, lay, par, d)
             noise_diagonal(numbers, T, lay, par, d, q)
             carry(B, i_sa, i_sg, x, out)
+            if clock >= 0:
+                carry_clock(T, 1.0, x[clock:])
             for j in range(9):
                 x[j] = out[j]
             for j in range(9, n):
                 x[j] *= d[j]
-            subtract_noise(numbers, T, q, steps[m], x)
+            subtract_noise(numbers, T, lay, par, q, steps[m], x)
             c += C_STEP
             f += size
             m += 1
@@ -244,7 +250,7 @@ def backward_covariance(
     for j in range(n):
         for k in range(n):
             L[j * STRIDE + k] = Lam[j, k]
-    begin(X, n)
+    begin(X, lay)
     pending = False
     c, f, row = coarse.shape[0], fine.shape[0], rows.shape[0]
     for i in range(kinds.shape[0] - 1, -1, -1):
@@ -255,11 +261,11 @@ def backward_covariance(
             read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
             decay_factors(float(fine[f]), lay, par, d)
-            step_back(B, lay, d, X, D, Z)
+            step_back(B, lay, float(fine[f]), d, X, D, Z)
             pending = True
             continue
         if pending:
-            flush(X, D, L, n, U, V)
+            flush(X, D, L, lay, U, V)
             pending = False
         if kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
@@ -282,7 +288,7 @@ def backward_covariance(
                     at += 1
             smoothed_blocks(P, L, n, V, rows[row].reshape(30))
     if pending:
-        flush(X, D, L, n, U, V)
+        flush(X, D, L, lay, U, V)
     for j in range(n):
         for k in range(n):
             Lam[j, k] = L[j * STRIDE + k]

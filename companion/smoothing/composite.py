@@ -4,7 +4,8 @@
 
 Nothing between two events (updates, output rows) asks for Λ. To multiply a Φ by its blocks costs a
 fourth of taking the symmetric matrix through it. Ψ is the identity but for its rows p, v, φ and the
-decays on the diagonal, so of Ψᵀ nine columns are kept; the vector λ rides along as the tenth.
+decays on the diagonal, so of Ψᵀ nine columns are kept; the vector λ rides along as the tenth; a
+receiver's clock has two columns of its own.
 
 Everything is flat with constant row lengths: with distances that it knows, the compiler makes
 vector code of the inner loops.
@@ -14,30 +15,47 @@ from __future__ import annotations
 
 from companion._jit import njit
 from companion.estimation.covariance import STRIDE
-from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_GYRO_SCALE, L_N
+from companion.navigation.layout import (
+    ATT,
+    BIAS,
+    DRIFT,
+    L_ACCEL_SCALE,
+    L_CLOCK,
+    L_GYRO_SCALE,
+    L_N,
+    RAMP,
+)
 from companion.types import F64, I64
 
 WIDTH = 12
-"""Columns of ``X``: nine of Ψᵀ, λ, and two that fill a vector."""
+"""Columns of ``X``: nine of Ψᵀ, λ, and two for a receiver's clock, which fill a vector."""
 LAM = 9
 """Column of λ."""
+OF_BIAS, OF_DRIFT = 10, 11
+"""Columns of Ψᵀ for the receiver's clock, where there is one."""
 
 
-@njit("void(f8[::1], i8)", cache=True)
-def begin(X: F64, n: int) -> None:
+@njit("void(f8[::1], i8[::1])", cache=True)
+def begin(X: F64, lay: I64) -> None:
     """``X`` (n · WIDTH,) ← Ψ = I; λ stays."""
+    n, clock = lay[L_N], lay[L_CLOCK]
     for i in range(n):
         for j in range(LAM):
             X[i * WIDTH + j] = 0.0
     for i in range(LAM):
         X[i * WIDTH + i] = 1.0
+    if clock >= 0:
+        for i in range(9, n):
+            X[i * WIDTH + OF_BIAS] = X[i * WIDTH + OF_DRIFT] = 0.0
+        X[(clock + BIAS) * WIDTH + OF_BIAS] = 1.0
+        X[(clock + DRIFT) * WIDTH + OF_DRIFT] = 1.0
 
 
-@njit("void(f8[:, :, ::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
-def step_back(B: F64, lay: I64, d: F64, X: F64, D: F64, Y: F64) -> None:
+@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
+def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64, Y: F64) -> None:
     """``X`` ← Φᵀ diag(d) ``X`` and ``D`` ← ``D`` ∘ d: one step further back.
 
-    ``B``: blocks of Φ; ``D`` (n,): the decays so far; ``Y`` (9 · WIDTH,) is scratch.
+    ``B``: blocks of Φ over ``T`` [s]; ``D`` (n,): the decays so far; ``Y`` (9 · WIDTH,) is scratch.
     """
     n, i_sa, i_sg = lay[L_N], lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
     for i in range(9 * WIDTH):
@@ -67,7 +85,6 @@ def step_back(B: F64, lay: I64, d: F64, X: F64, D: F64, Y: F64) -> None:
                 + (b0 * Y[3 * WIDTH + j] + b1 * Y[4 * WIDTH + j] + b2 * Y[5 * WIDTH + j])
                 + (c0 * Y[6 * WIDTH + j] + c1 * Y[7 * WIDTH + j] + c2 * Y[8 * WIDTH + j])
             )
-        T = B[1, i, i]
         b0, b1, b2 = B[9, 0, i], B[9, 1, i], B[9, 2, i]
         c0, c1, c2 = B[17, 0, i], B[17, 1, i], B[17, 2, i]
         row, own = X[(3 + i) * WIDTH :], Y[i * WIDTH :]
@@ -103,11 +120,19 @@ def step_back(B: F64, lay: I64, d: F64, X: F64, D: F64, Y: F64) -> None:
                     own = Y[(up + k) * WIDTH :]
                     for j in range(WIDTH):
                         row[j] += g * own[j]
+    if lay[L_CLOCK] >= 0:
+        # As receiver_clock.carry_clock_back, on all columns.
+        bias = X[(lay[L_CLOCK] + BIAS) * WIDTH :]
+        drift, ramp = X[(lay[L_CLOCK] + DRIFT) * WIDTH :], X[(lay[L_CLOCK] + RAMP) * WIDTH :]
+        for j in range(WIDTH):
+            ramp[j] += 0.5 * T * T * bias[j] + T * drift[j]
+            drift[j] += T * bias[j]
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], i8, b1, f8[::1])", cache=True)
-def _apply(X: F64, D: F64, L: F64, n: int, lower: bool, U: F64) -> None:
+@njit("void(f8[::1], f8[::1], f8[::1], i8[::1], b1, f8[::1])", cache=True)
+def _apply(X: F64, D: F64, L: F64, lay: I64, lower: bool, U: F64) -> None:
     """``U`` ← Ψᵀ ``L``, both (n · STRIDE,); with ``lower`` at least the lower half."""
+    n, clock = lay[L_N], lay[L_CLOCK]
     # Whole vectors of four: what is in the columns behind is never looked at.
     wide = (n + 3) // 4 * 4
     for i in range(n):
@@ -124,23 +149,33 @@ def _apply(X: F64, D: F64, L: F64, n: int, lower: bool, U: F64) -> None:
                 + (x3 * L[3 * STRIDE + j] + x4 * L[4 * STRIDE + j] + x5 * L[5 * STRIDE + j])
                 + (x6 * L[6 * STRIDE + j] + x7 * L[7 * STRIDE + j] + x8 * L[8 * STRIDE + j])
             )
+    if clock >= 0:
+        # Rows of drift and ramp; their own part, and the row of the bias, are done.
+        bias, drift = L[(clock + BIAS) * STRIDE :], L[(clock + DRIFT) * STRIDE :]
+        for i in (clock + DRIFT, clock + RAMP):
+            of_bias = X[i * WIDTH + OF_BIAS]
+            of_drift = X[i * WIDTH + OF_DRIFT] if i == clock + RAMP else 0.0
+            out = U[i * STRIDE :]
+            for j in range(wide):
+                out[j] += of_bias * bias[j] + of_drift * drift[j]
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], i8, f8[::1], f8[::1])", cache=True)
-def flush(X: F64, D: F64, Lam: F64, n: int, U: F64, V: F64) -> None:
+@njit("void(f8[::1], f8[::1], f8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
+def flush(X: F64, D: F64, Lam: F64, lay: I64, U: F64, V: F64) -> None:
     """``Lam`` ← Ψᵀ ``Lam`` Ψ, symmetric to the bit; then Ψ = I again.
 
     ``U``, ``V`` (n · STRIDE,) are scratch.
     """
-    _apply(X, D, Lam, n, False, U)
+    n = lay[L_N]
+    _apply(X, D, Lam, lay, False, U)
     for i in range(n):
         for j in range(n):
             V[j * STRIDE + i] = U[i * STRIDE + j]
-    _apply(X, D, V, n, True, Lam)
+    _apply(X, D, V, lay, True, Lam)
     for i in range(n):
         for j in range(i):
             Lam[j * STRIDE + i] = Lam[i * STRIDE + j]
-    begin(X, n)
+    begin(X, lay)
     D[:] = 1.0
 
 

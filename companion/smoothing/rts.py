@@ -17,6 +17,7 @@ import numpy as np
 
 from companion._jit import njit
 from companion.estimation.covariance import apply_transition
+from companion.estimation.receiver_clock import carry_clock
 from companion.estimation.tape import (
     C_STEP,
     F32,
@@ -36,7 +37,14 @@ from companion.estimation.tape import (
 )
 from companion.estimation.update import reset_covariance
 from companion.navigation.error_model import transition_blocks
-from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_GYRO_SCALE, L_N
+from companion.navigation.layout import (
+    ATT,
+    CLOCK_STATES,
+    L_ACCEL_SCALE,
+    L_CLOCK,
+    L_GYRO_SCALE,
+    L_N,
+)
 from companion.smoothing.transition import add_noise, decay_factors, noise_diagonal
 from companion.types import F64, I64
 
@@ -97,14 +105,29 @@ def count_runs(kinds: I8) -> int:
     return int(count)
 
 
-@njit("void(f8[:, :, ::1], i8, i8, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True)
-def _carry(B: F64, i_sa: int, i_sg: int, d: F64, X: F64, Y: F64) -> None:
-    """``X`` (n, n) ← D Φ ``X``; ``Y`` (9, n) is scratch."""
-    n = X.shape[0]
-    apply_transition(B, i_sa, i_sg, X, n, Y)
+@njit("void(f8[:, :, ::1], i8[::1], f8, f8[:, ::1], f8[:, ::1])", cache=True)
+def _transit(B: F64, lay: I64, T: float, X: F64, Y: F64) -> None:
+    """``X`` (n, n) ← Φ ``X`` over ``T`` [s]; ``Y`` (9, n) is scratch."""
+    n, clock = lay[L_N], lay[L_CLOCK]
+    apply_transition(B, lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], X, n, Y)
     for j in range(9):
         for k in range(n):
             X[j, k] = Y[j, k]
+    if clock >= 0:
+        own = np.empty(CLOCK_STATES)
+        for k in range(n):
+            for j in range(CLOCK_STATES):
+                own[j] = X[clock + j, k]
+            carry_clock(T, 1.0, own)
+            for j in range(CLOCK_STATES):
+                X[clock + j, k] = own[j]
+
+
+@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True)
+def _carry(B: F64, lay: I64, T: float, d: F64, X: F64, Y: F64) -> None:
+    """``X`` (n, n) ← D Φ ``X`` over ``T`` [s]; ``Y`` (9, n) is scratch."""
+    n = lay[L_N]
+    _transit(B, lay, T, X, Y)
     for j in range(9, n):
         if d[j] != 1.0:
             for k in range(n):
@@ -135,8 +158,7 @@ def covariances(
     and ``gains`` Ψ P with Ψ = D_m Φ_m … D_1 Φ_1, of which Cᵀ is (P⁻)⁻¹ Ψ P.
     """
     n = lay[L_N]
-    i_sa, i_sg = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
+    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d, q, dx = np.empty(n), np.empty(n), np.zeros(n)
     X, Y = np.empty((n, n)), np.empty((9, n))
@@ -152,12 +174,12 @@ def covariances(
             noise_diagonal(numbers, T, lay, par, d, q)
             G = gains[m]
             if inside:
-                _carry(B, i_sa, i_sg, d, G, Y)
+                _carry(B, lay, T, d, G, Y)
             else:
                 for j in range(n):
                     for k in range(n):
                         before[m, j, k] = P[j, k]
-            _carry(B, i_sa, i_sg, d, P, Y)
+            _carry(B, lay, T, d, P, Y)
             if not inside:
                 for j in range(n):
                     for k in range(n):
@@ -166,14 +188,11 @@ def covariances(
             for j in range(n):
                 for k in range(n):
                     X[k, j] = P[j, k]
-            apply_transition(B, i_sa, i_sg, X, n, Y)
-            for j in range(9):
-                for k in range(n):
-                    X[j, k] = Y[j, k]
+            _transit(B, lay, T, X, Y)
             for j in range(n):
                 for k in range(j, n):
                     P[j, k] = P[k, j] = X[j, k] * d[j]
-            add_noise(numbers, T, q, P)
+            add_noise(numbers, T, lay, par, q, P)
             if last_of_run(kinds, i):
                 for j in range(n):
                     for k in range(n):

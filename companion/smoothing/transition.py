@@ -15,20 +15,25 @@ from companion.estimation.parameters import (
     ACCEL_BIAS_PSD,
     ACCEL_BIAS_TAU,
     BARO_PSD,
+    CLOCK_RAMP_TAU,
     GNSS_PSD,
     GNSS_PSD_DOWN,
     GNSS_TAU,
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
 )
-from companion.estimation.tape import C_NOISE_A, C_NOISE_B, C_NOISE_V, F32
+from companion.estimation.receiver_clock import clock_cross_noise, clock_noise
+from companion.estimation.tape import C_LET_GO, C_NOISE_A, C_NOISE_B, C_NOISE_V, F32
 from companion.navigation.layout import (
     ACCEL_BIAS,
     ATT,
+    DRIFT,
     GYRO_BIAS,
     L_BARO,
+    L_CLOCK,
     L_GNSS,
     POS,
+    RAMP,
     VEL,
 )
 from companion.types import F64, I64
@@ -93,6 +98,8 @@ def decay_factors(T: float, lay: I64, par: F64, d: F64) -> None:
         if start >= 0 and tau > 0.0:
             for i in range(3):
                 d[start + i] = math.exp(-T / tau)
+    if lay[L_CLOCK] >= 0:
+        d[lay[L_CLOCK] + RAMP] = math.exp(-T / par[CLOCK_RAMP_TAU])
 
 
 @njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
@@ -111,14 +118,17 @@ def noise_diagonal(c: F32, T: float, lay: I64, par: F64, d: F64, q: F64) -> None
             q[start + 2] = psd_down * span
     if lay[L_BARO] >= 0:
         q[lay[L_BARO]] = par[BARO_PSD] * T
+    if lay[L_CLOCK] >= 0:
+        clock = lay[L_CLOCK]
+        clock_noise(T, float(c[C_LET_GO]), par, d[clock + RAMP], q[clock:])
     for i in range(3):
         q[POS + i] = c[C_NOISE_V] * T * T / 3.0
         q[VEL + i] = c[C_NOISE_V]
 
 
-@njit("void(f4[::1], f8, f8[::1], f8[::1], f8[::1])", cache=True)
-def subtract_noise(c: F32, T: float, q: F64, lam: F64, x: F64) -> None:
-    """``x`` ← ``x`` − Q ``lam``, Q with the position-velocity terms and that of attitude."""
+@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
+def subtract_noise(c: F32, T: float, lay: I64, par: F64, q: F64, lam: F64, x: F64) -> None:
+    """``x`` ← ``x`` − Q ``lam``, Q with the terms between states."""
     cross = 0.5 * float(c[C_NOISE_V]) * T
     for i in range(x.shape[0]):
         x[i] -= q[i] * lam[i]
@@ -131,10 +141,15 @@ def subtract_noise(c: F32, T: float, q: F64, lam: F64, x: F64) -> None:
             if i != j:
                 x[ATT + j] -= c[at] * lam[ATT + i]
             at += 1
+    b = lay[L_CLOCK]
+    if b >= 0:
+        cross = clock_cross_noise(T, par)
+        x[b] -= cross * lam[b + DRIFT]
+        x[b + DRIFT] -= cross * lam[b]
 
 
-@njit("void(f4[::1], f8, f8[::1], f8[:, ::1])", cache=True)
-def add_noise(c: F32, T: float, q: F64, P: F64) -> None:
+@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[:, ::1])", cache=True)
+def add_noise(c: F32, T: float, lay: I64, par: F64, q: F64, P: F64) -> None:
     """``P`` ← ``P`` + Q."""
     cross = 0.5 * float(c[C_NOISE_V]) * T
     for i in range(P.shape[0]):
@@ -148,3 +163,8 @@ def add_noise(c: F32, T: float, q: F64, P: F64) -> None:
             if i != j:
                 P[ATT + j, ATT + i] += c[at]
             at += 1
+    b = lay[L_CLOCK]
+    if b >= 0:
+        cross = clock_cross_noise(T, par)
+        P[b, b + DRIFT] += cross
+        P[b + DRIFT, b] += cross

@@ -131,7 +131,7 @@ def smooth_window(
     X, Y = np.zeros(n * WIDTH), np.empty(9 * WIDTH)
     Lam, U = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
     V, P = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
-    begin(X, n)
+    begin(X, lay)
     pending = False
     at_c, f, row = c[COARSE], c[FINE], t.shape[0]
     for i in range(c[KIND] - 1, a[KIND] - 1, -1):
@@ -142,7 +142,7 @@ def smooth_window(
             read_step(coarse[at_c : at_c + C_STEP], fine[f : f + step], s)
             transition_blocks(s, B)
             decay_factors(float(fine[f]), lay, par, d)
-            step_back(B, lay, d, X, D, Y)
+            step_back(B, lay, float(fine[f]), d, X, D, Y)
             pending = True
             continue
         if kind == FIX or (kind < 0 and i >= b[KIND]):
@@ -153,7 +153,7 @@ def smooth_window(
             smoothed[row] = False
             continue
         if pending:
-            flush(X, D, Lam, n, U, V)
+            flush(X, D, Lam, lay, U, V)
             pending = False
         if kind >= UPDATE:
             r = fine[f + F_R]

@@ -52,6 +52,11 @@ def _parameters() -> F64:
         ("GNSS_PSD_DOWN", 2.0**-3),
         ("GNSS_TAU", 32.0),
         ("GYRO_BIAS_TAU", 64.0),
+        ("CLOCK_PSD", 2.0**-6),
+        ("CLOCK_DRIFT_PSD", 2.0**-5),
+        ("SYSTEM_BIAS_PSD", 2.0**-12),
+        ("CLOCK_RAMP_VAR", 2.0**-4),
+        ("CLOCK_RAMP_TAU", 16.0),
     ):
         p[getattr(par, name)] = value
     return p
@@ -71,7 +76,7 @@ def linear_run(
     all α² so far, and the covariance in hand times it.
     """
     rng = np.random.default_rng(seed)
-    layout = lo.Layout.build(scale=True, lever=True, baro=True, gnss=True)
+    layout = lo.Layout.build(scale=True, lever=True, baro=True, gnss=True, clock=True)
     n, lay, p = layout.n, layout.vector(), _parameters()
     s = np.zeros(layout.size)
     s[0], s[lo.EARTH_RATE] = 1.0, RATE
@@ -80,7 +85,7 @@ def linear_run(
     s[lo.LAT], s[lo.HEIGHT] = np.float32(0.8), 300.0
     sd = np.array(
         [3.0] * 3 + [1.0] * 3 + [0.05] * 3 + [0.1] * 3 + [0.01] * 3 + [0.01] * 6 + [0.5] * 3
-        + [5.0] + [1.0] * 3
+        + [5.0] + [1.0] * 3 + [3.0, 1.0, 2.0, 2.0, 0.3]
     )  # fmt: skip
     P = s[lo.P :].reshape(n, n)
     P[:] = np.diag(sd**2)
@@ -118,6 +123,9 @@ def linear_run(
         F = np.eye(n)
         transition_blocks(s, B)
         apply_transition(B, layout.accel_scale, layout.gyro_scale, np.eye(n), n, F[:9])
+        b = layout.clock
+        F[b, [b + lo.DRIFT, b + lo.RAMP]] = T, T * T / 2
+        F[b + lo.DRIFT, b + lo.RAMP] = T
         d = np.ones(n)
         decay_factors(T, lay, p, d)
         F = d[:, None] * F
