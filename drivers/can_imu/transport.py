@@ -108,6 +108,8 @@ class SlcanTransport(CanTransport):
             settings[2] |= termios.CLOCAL | termios.CREAD
             settings[4] = settings[5] = speed
             termios.tcsetattr(self._fd, termios.TCSANOW, settings)
+            # What came when nobody read is older than it would seem, and has a gap behind it.
+            termios.tcflush(self._fd, termios.TCIFLUSH)
             os.write(self._fd, opening(bitrate, listen_only=bool(options.get("listen_only"))))
         except (OSError, termios.error) as error:
             self.close()

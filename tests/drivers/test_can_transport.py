@@ -81,6 +81,20 @@ def test_slcan_opens_the_channel_and_receives(adapter):
     bus.close()
 
 
+def test_what_an_earlier_run_left_unread_is_dropped(adapter):
+    """It would be taken for what comes now, with a gap behind it."""
+    first = open_can("slcan", adapter.path)
+    adapter.heard(b"O\r")
+    os.write(adapter.fd, slcan_lines(FRAMES))
+    received(first, 3)
+    os.write(adapter.fd, slcan_lines(FRAMES) * 100)
+    first.close()
+    second = open_can("slcan", adapter.path)
+    os.write(adapter.fd, slcan_lines(FRAMES[:1]))
+    assert received(second, 1) == [(*FRAMES[0], None)]
+    second.close()
+
+
 def test_slcan_sends(adapter):
     bus = open_can("slcan", adapter.path, 1_000_000, {"listen_only": False})
     adapter.heard(b"O\r")

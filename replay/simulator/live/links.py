@@ -143,6 +143,10 @@ class Plug:
             return os.read(self._master, _MOST)
         return b""
 
+    def drop_waiting(self) -> None:
+        """Forget what the computer has not taken yet."""
+        self._waiting = b""
+
     def write(self, data: bytes) -> None:
         """Hand bytes to the computer; what it does not take yet waits in the adapter.
 

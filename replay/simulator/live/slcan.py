@@ -35,6 +35,8 @@ class SlcanAdapter:
         self.bus_bitrate = bitrate
         self.bitrate = 0
         self.is_open = False
+        self.closings = 0
+        """Times that the channel was closed; a real adapter then drops what it had not sent."""
         self.sent: list[Frame] = []
         """Frames that the computer transmitted; whoever reads them clears them."""
         self.refused = 0
@@ -72,6 +74,7 @@ class SlcanAdapter:
             return CR
         if kind == b"C":
             self.is_open = False
+            self.closings += 1
             return CR
         if kind in b"VNF":
             return {b"V": b"V1013", b"N": b"NSIM1", b"F": b"F00"}[kind] + CR

@@ -98,7 +98,11 @@ class LiveVehicle:
         frames = unit.advance(now_ns)
         if self.plug is None:
             return
-        self.plug.write(self.adapter.feed(self.plug.read()))
+        closings = self.adapter.closings
+        answers = self.adapter.feed(self.plug.read())
+        if self.adapter.closings > closings:
+            self.plug.drop_waiting()
+        self.plug.write(answers)
         self.adapter.sent.clear()
         if not self.adapter.hears:
             return
