@@ -31,7 +31,7 @@ from companion.estimation.recording import Recording, Tape
 from companion.estimation.stretch import Stretch
 from companion.intake.aids import NEVER, Admitted, AidIntake, together
 from companion.intake.counters import Counters
-from companion.intake.inertial import CHUNK, CLOCK_BACK_NS, InertialIntake, in_order
+from companion.intake.inertial import CHUNK, CLOCK_BACK_NS, IMU_SIZE, InertialIntake, in_order
 from companion.intake.ranges import RangeIntake, RangeSamples
 from companion.outlet import NO_SOLUTION, NOTHING, Outlet, join, reports, trace
 from companion.smoothing.on_line import OnLine
@@ -88,7 +88,7 @@ class Engine:
         self._aiding = AidIntake(config, self.counters)
         self._ranges = RangeIntake(config)
         self._outlet = Outlet()
-        self._imu = SampleBuffer(7)
+        self._imu = SampleBuffer(IMU_SIZE)
         self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
         self.on_line = OnLine(config)
         self._finished = False
@@ -139,6 +139,7 @@ class Engine:
         if not (plain and in_order(t, head) and math.isfinite(rows.sum())):
             return self._one_by_one(imu, aids)
         self.counters.imu += len(t)
+        self._inertial.watch(t, rows)
         heads = np.concatenate(([NEVER if head is None else head], t))
         late: list[tuple[int, int, Admitted]] = []
         self.counters.aids += sum(len(samples) for samples in aids)
@@ -214,6 +215,7 @@ class Engine:
     def _step_imu(self, block: ImuSamples) -> Outputs:
         t, rows = self._inertial.rows(block)
         self.counters.imu += len(t)
+        self._inertial.watch(t, rows)
         t, rows = self._inertial.finite(t, rows)
         if in_order(t, self._head):
             self._imu.append(t, rows)
@@ -374,7 +376,7 @@ class Engine:
             self._outlet.published(),
             self._outlet.settled(self.filter.rows, horizon),
             said,
-            self._outlet.events(self.filter, horizon),
+            (*self._outlet.events(self.filter, horizon), *self._inertial.events(final)),
             adaptation=traced,
         )
 

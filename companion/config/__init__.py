@@ -205,6 +205,8 @@ _NOT_NEGATIVE = (
     "imu.accel_bias_tau_s",
     "imu.vibration_gain_rthz",
     "imu.gyro_vibration_gain_rthz",
+    "imu.gyro_range_dps",
+    "imu.accel_range_mps2",
     "imu.gyro_scale_sd_ppm",
     "imu.accel_scale_sd_ppm",
     "gnss.latency_sd_ms",

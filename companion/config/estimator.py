@@ -57,6 +57,11 @@ class Imu(Section):
     standstill window) [1/√Hz]; rectification and aliasing grow with what shakes the sensor."""
     gyro_vibration_gain_rthz: float = 0.0
     """Further gyro noise density, axis by axis, per rate of vibration (1σ, as above) [1/√Hz]."""
+    gyro_range_dps: float = 0.0
+    """Full scale [deg/s]: a sample that reaches it is counted, trusted less, and speaks for a bad
+    unit instead of a bad receiver. 0: not known."""
+    accel_range_mps2: float = 0.0
+    """The same of the accelerometer [m/s²]."""
     scale_factor_states: bool = False
     """Estimate scale factors of gyro and accelerometer, six more states; they show in turns and
     accelerations only."""

@@ -43,6 +43,8 @@ from companion.types import F64, I64, NS
     VIBRATION_GAIN,  # accelerometer noise density per vibration, squared [1/Hz]
     LATENCY_VAR,  # of a fix's time of validity [s²]
     GYRO_VIBRATION_GAIN,  # gyro noise density per vibration of its axis, squared [1/Hz]
+    GYRO_RANGE,  # full scale [rad/s]; 0: not known
+    ACCEL_RANGE,  # [m/s²]
     DIVERGED_VAR,  # horizontal position variance beyond use [m²]
     CLOCK_PSD,  # receiver clock: bias [m²/s], drift [(m/s)²/s]
     CLOCK_DRIFT_PSD,
@@ -112,6 +114,8 @@ def parameter_vector(config: Config) -> F64:
     p[DIVERGED_VAR] = config.engine.diverged_position_sd_m**2
     p[VIBRATION_GAIN] = imu.vibration_gain_rthz**2
     p[GYRO_VIBRATION_GAIN] = imu.gyro_vibration_gain_rthz**2
+    p[GYRO_RANGE] = imu.gyro_range_dps * DEG
+    p[ACCEL_RANGE] = imu.accel_range_mps2
     p[CLOCK_PSD] = config.raw_gnss.clock_walk_m_rts**2
     p[CLOCK_DRIFT_PSD] = config.raw_gnss.clock_drift_walk_mps_rts**2
     p[SYSTEM_BIAS_PSD] = config.raw_gnss.system_bias_walk_m_rts**2

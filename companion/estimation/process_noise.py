@@ -20,6 +20,7 @@ from companion.estimation.parameters import (
 from companion.navigation.layout import (
     GYRO_VIBRATION,
     Q_SCALE,
+    SATURATED,
     SUM_C,
     SUM_T,
     SUM_XA,
@@ -27,6 +28,10 @@ from companion.navigation.layout import (
     VIBRATION,
 )
 from companion.types import F64
+
+SATURATED_GAIN = 0.05**2
+"""Gyro noise density per vibration, squared [1/Hz], while the unit is driven beyond its range: as
+the default of imu.vibration_gain_rthz, and for the same reasons."""
 
 
 @njit("f8(f8[::1], f8[::1])", cache=True)
@@ -44,11 +49,13 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
     """``q`` (6,): covariance that φ gains [rad²], as xx, xy, xz, yy, yz, zz.
 
     Engines and roads shake a vehicle about one axis more than about another, so each gyro has a
-    noise of its own: C_nb diag(q) C_nbᵀ T, with the mean of C_nb over the interval.
+    noise of its own: C_nb diag(q) C_nbᵀ T, with the mean of C_nb over the interval. In ordinary
+    flight a gyro's spread is motion; beyond the range of the unit it is taken for noise.
     """
     T = s[SUM_T]
     even = par[GYRO_PSD] * T * s[Q_SCALE] + s[SUM_XA]
-    if par[GYRO_VIBRATION_GAIN] <= 0.0:
+    gain = max(par[GYRO_VIBRATION_GAIN], SATURATED_GAIN * s[SATURATED])
+    if gain <= 0.0:
         q[1] = q[2] = q[4] = 0.0
         q[0] = q[3] = q[5] = np.float32(even)
         return
@@ -58,7 +65,7 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
             x = 0.0
             for k in range(3):
                 x += s[SUM_C + 3 * i + k] * s[SUM_C + 3 * j + k] * s[GYRO_VIBRATION + k]
-            x *= par[GYRO_VIBRATION_GAIN] * s[Q_SCALE] / T
+            x *= gain * s[Q_SCALE] / T
             q[at] = np.float32(x + (even if i == j else 0.0))
             at += 1
 

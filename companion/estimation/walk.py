@@ -43,6 +43,7 @@ from companion.estimation.parameters import (
     ZERO_VELOCITY,
     ZUPT_VAR,
 )
+from companion.estimation.saturation import SATURATION, saturated
 from companion.estimation.source_faults import report_source, settle, undecided, weigh
 from companion.estimation.tape import RECORDER, Recorder, record_fix, record_row, record_step
 from companion.estimation.update import R_VERDICT, fuse
@@ -519,8 +520,9 @@ def walk(
 ) -> int:
     """Walk state ``s``, ``k`` over samples ``at[0]:at[1]`` and aids ``at[2]:at[3]``.
 
-    imu_t (N,) ns and imu (N, 7): gyro [rad/s], specific force [m/s²], integration interval [s]
-    or 0; aid_t (M,), aid_kind (M, 2): kind and source, aid (M, AID_SIZE): see the ``A_`` columns.
+    imu_t (N,) ns and imu (N, 8): gyro [rad/s], specific force [m/s²], integration interval [s]
+    or 0, what is saturated; aid_t (M,), aid_kind (M, 2): kind and source, aid (M, AID_SIZE): see
+    the ``A_`` columns.
     Aids after the last sample wait. Output rows go to ``rows`` from ``at[4]`` on, reports to
     ``reports`` from ``at[5]``, snapshots to the rings ``snaps``, ``snaps_k``. ``at`` is moved on;
     the code says why the walk ended: all samples taken, a gap before sample ``at[0]``, a state
@@ -576,6 +578,8 @@ def walk(
         _step(s, k, scale, par, sample, t, t, mixed, C)
         for c in range(6):
             s[LAST_GYRO + c] = sample[c]
+        if sample[SATURATION] > 0.0:
+            saturated(s, par, sample[SATURATION], (t - k[T_IMU]) * 1e-9)
         k[T_IMU] = t
         observe(
             s,

@@ -12,6 +12,7 @@ class Counters:
     imu: int = 0
     imu_not_finite: int = 0
     imu_out_of_order: int = 0
+    imu_saturated: int = 0
     aids: int = 0
     late_fused: int = 0
     refused: dict[str, int] = field(default_factory=dict)

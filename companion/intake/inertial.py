@@ -8,11 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.config import Config
+from companion.estimation.saturation import SATURATION
 from companion.intake.counters import Counters
-from companion.types import F64, I64, NS, ImuSamples
+from companion.intake.saturation import SaturationWatch
+from companion.types import F64, I64, NS, Event, ImuSamples
 
 CLOCK_BACK_NS = NS
 """An IMU clock that goes back further than this has been restarted; less is a late sample."""
+IMU_SIZE = 8
+"""Columns of a row: rate, specific force, interval, what is saturated."""
 CHUNK = 20_000
 """Inertial samples walked between two drains of the outputs: bounds memory, not results."""
 
@@ -50,16 +54,27 @@ class InertialIntake:
 
     def __init__(self, config: Config, counters: Counters) -> None:
         self._mounting = Mounting(config)
+        self._saturation = SaturationWatch(config)
         self._latency_ns = round(config.imu.latency_ms * 1e6)
         self._counters = counters
 
     def rows(self, block: ImuSamples) -> tuple[I64, F64]:
-        """Times of validity, and rows (N, 7) in body axes as the walk takes them."""
-        rows = np.empty((len(block), 7))
+        """Times of validity, and rows (N, IMU_SIZE) in body axes as the walk takes them."""
+        rows = np.empty((len(block), IMU_SIZE))
         rows[:, :3] = self._mounting.turn(block.gyro_b)
         rows[:, 3:6] = self._mounting.turn(block.accel_b)
         np.fmax(block.interval_s, 0.0, out=rows[:, 6])  # NaN, an instantaneous sample: 0
+        rows[:, SATURATION] = self._saturation.flags(block)
         return block.t_ns - self._latency_ns, rows
+
+    def watch(self, t: I64, rows: F64) -> None:
+        """Count what is saturated, each sample once: ``rows`` may be asked for twice."""
+        if self._saturation.watching:
+            self._counters.imu_saturated += self._saturation.note(t, rows[:, SATURATION])
+
+    def events(self, final: bool = False) -> tuple[Event, ...]:
+        """What there is to say of saturation since the last call."""
+        return self._saturation.take_events(final) if self._saturation.watching else ()
 
     def finite(self, t: I64, rows: F64) -> tuple[I64, F64]:
         """Without the samples that are no numbers, which are counted."""

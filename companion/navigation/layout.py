@@ -65,7 +65,9 @@ VELOCITY_FIT = VIBRATION + 4  # NIS per component of horizontal velocity, runnin
 BANK_NIS = VIBRATION + 5  # sum of capped NIS over what the bank competes on
 BANK_DOF = VIBRATION + 6  # and of its components
 # --- what is known of the position source, horizontal and vertical (see source_faults.py)
-SOURCE = VIBRATION + 7
+SATURATING = VIBRATION + 7  # samples at the end of a range in the running quarter
+SATURATED = VIBRATION + 8  # 1 where there were some in the last full one
+SOURCE = VIBRATION + 9
 SOURCE_SIZE = 19
 # --- adaptation: what is in force, and what it is drawn from (see estimation/adaptation)
 R_SCALE = SOURCE + 2 * SOURCE_SIZE  # factor on R, one a channel

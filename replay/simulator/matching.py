@@ -50,6 +50,8 @@ def imu_config(spec: ImuSpec) -> Imu:
         ),
         accel_bias_walk_mps2_rts=spec.accel_walk_mps2_rts,
         vibration_gain_rthz=0.0,
+        gyro_range_dps=spec.gyro_range_dps if math.isfinite(spec.gyro_range_dps) else 0.0,
+        accel_range_mps2=spec.accel_range_mps2 if math.isfinite(spec.accel_range_mps2) else 0.0,
     )
 
 

@@ -12,7 +12,14 @@ import numpy as np
 
 from companion._jit import njit
 from companion.estimation.parameters import ACCEL_PSD, GYRO_PSD
-from companion.navigation.layout import RECEPTION, STILL_RING, STILL_SUB, VIBRATION
+from companion.navigation.layout import (
+    RECEPTION,
+    SATURATED,
+    SATURATING,
+    STILL_RING,
+    STILL_SUB,
+    VIBRATION,
+)
 from companion.types import F64
 
 SCALE_VAR = 0.005**2
@@ -23,7 +30,12 @@ VIBRATION_VAR = 0.05**2
 
 @njit("f8(f8[::1], f8[::1])", cache=True)
 def strain(s: F64, par: F64) -> float:
-    """Share of the inertial unit's error that motion may have, 0 to 1, over the last second."""
+    """Share of the inertial unit's error that motion may have, 0 to 1, over the last second.
+
+    All of it where a sample was at the end of its range: nothing says how large that error is.
+    """
+    if s[SATURATED] > 0.0 or s[SATURATING] > 0.0:
+        return 1.0
     spread = np.zeros(2)
     for i in range(6):
         low = high = s[STILL_RING + i]
