@@ -27,6 +27,9 @@ RELOCK_FIXES = 4
 LOST_TILT_SD = math.radians(3.0)
 FAR_SD = 2.5
 """Deviations of the misfit from which on the filter is at the wrong place, not at a noisy one."""
+FOLLOWED_SD = math.sqrt(2.0)
+"""The same where a drift has been declared, so that something is known to have been followed:
+taking back an estimate w of it with variance σ² is a gain on average once w² − σ² > σ²."""
 
 Decision = tuple[Phase | None, list[Event]]
 
@@ -61,7 +64,7 @@ def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
         elif news == sf.DECLARED:
             events.append(declared(setup, t, part, q, x))
             way = _way(x, part, sf.PULLED)
-            if q[sf.STATE] == sf.DRIFTS and _far(way, x):
+            if q[sf.STATE] == sf.DRIFTS and _far(way, x, deviations=FOLLOWED_SD):
                 events.append(taken_back(t, part, way))
                 return _without_pull(setup, f, t, part, way), events
     for part in range(2):
@@ -90,9 +93,9 @@ def _way(x: F64, part: int, mean: int) -> F64:
     return way
 
 
-def _far(way: F64, x: F64, further: float = 0.0) -> bool:
+def _far(way: F64, x: F64, further: float = 0.0, deviations: float = FAR_SD) -> bool:
     """Whether a way is longer than slow error and dead reckoning, and ``further`` [m²], explain."""
-    return float(way @ way) > FAR_SD**2 * (float(x[sf.MISFIT_VAR]) + further)
+    return float(way @ way) > deviations**2 * (float(x[sf.MISFIT_VAR]) + further)
 
 
 def _whole(setup: Setup, f: Filter) -> tuple[F64, I64]:
