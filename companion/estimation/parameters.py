@@ -52,7 +52,7 @@ from companion.types import F64, I64, NS
     CLOCK_RAMP_VAR,  # of its drift's change in a temperature that changes [(m/s²)²]
     CLOCK_RAMP_TAU,  # [s]
     ADAPTATION_AT,  # from here on: adaptation/parameters.py
-) = range(35)
+) = range(37)
 SIZE = ADAPTATION_AT + ADAPTATION_SIZE
 
 # --- integer parameters
