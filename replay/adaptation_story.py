@@ -9,15 +9,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.types import F64, NS, AdaptationTrace, Channel, Rule
+from companion.adaptation_words import told
+from companion.types import F64, NS, AdaptationTrace, Channel
 
 TOLD = 2.0
 """Factor on a variance from which on an episode is told."""
 ALPHA_TOLD = 1.005
 GAP_NS = 5 * NS
 """Shorter returns to nominal do not end an episode."""
-MOST = 0.5
-"""Share beyond which a cause is named."""
 
 
 class Episode(msgspec.Struct, frozen=True):
@@ -76,14 +75,6 @@ def _because(trace: AdaptationTrace, part: NDArray[np.intp]) -> str:
     fired = trace.rule[part]
     if not (fired >= 0).any():
         return ""
-    rule = Rule(int(np.bincount(fired[fired >= 0]).argmax()))
-    _, spread, _, mean = rule.name.lower().split("_")
-    text = f"spread {spread}, mean {mean}"
-    if mean == "zero":
-        return text
+    rule = int(np.bincount(fired[fired >= 0]).argmax())
     same = part[fired == rule]
-    if trace.to_model[same].mean() > MOST:
-        return f"{text}: taken for the inertial unit's"
-    if trace.to_source[same].mean() > MOST:
-        return f"{text}: taken for the source's"
-    return text
+    return told(rule, float(trace.to_model[same].mean()), float(trace.to_source[same].mean()))

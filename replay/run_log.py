@@ -14,6 +14,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
 from companion.logbook import columns, messages, schemas
+from companion.logbook.adaptation import decode_trace
 from companion.logbook.columns import Batch
 from companion.logbook.recovery import Condition, Topic, walk
 from companion.proto import run_pb2
@@ -21,6 +22,7 @@ from companion.types import (
     NS,
     SMOOTHING_GAVE_WAY,
     SMOOTHING_RESUMED,
+    AdaptationTrace,
     AidingReports,
     Event,
     LogFormatError,
@@ -45,7 +47,14 @@ _BATCHES: dict[str, tuple[str, Batch]] = {
     "reference/autopilot": ("autopilot", columns.REFERENCE),
 }
 _RUN_TOPICS = (schemas.CONFIG_TOPIC, schemas.VERSIONS_TOPIC, schemas.SUMMARY_TOPIC)
-_OUTPUT_TOPICS = ("nav/state", "nav/aiding", "nav/settled", "nav/smoothed", "events")
+_OUTPUT_TOPICS = (
+    "nav/state",
+    "nav/aiding",
+    "nav/adaptation",
+    "nav/settled",
+    "nav/smoothed",
+    "events",
+)
 _LEVELS = {Log.WARNING: "warning", Log.ERROR: "error"}
 
 M = TypeVar("M")
@@ -71,6 +80,7 @@ class RunResult:
     config_toml: str | None = None
     metadata: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
 
 
 class _Run:
@@ -298,6 +308,7 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
         reports = messages.decode_reports(found.get("nav/aiding", []))
         settled = _settled(found.get("nav/settled", []))
         smoothed = messages.decode_states(found.get("nav/smoothed", []))
+        adaptation = decode_trace(found.get("nav/adaptation", []))
     except LogFormatError as error:
         raise LogFormatError(f"{path}: {error}") from None
     events = tuple(e for data in found.get("events", []) if (e := _event(run, data)) is not None)
@@ -316,6 +327,7 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
         config_toml=run.config_toml,
         metadata=run.metadata,
         notes=run.all_notes(),
+        adaptation=adaptation,
     )
 
 

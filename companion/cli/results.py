@@ -122,6 +122,7 @@ def report_run(
         withheld=solved.withheld,
         notes=solved.notes,
         digest=solved.digest,
+        adaptation=solved.adaptation,
     )
     path = output if output is not None else out_path(None, [run], "report").with_suffix(".html")
     judgement = write_report(view, path)

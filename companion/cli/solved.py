@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -11,7 +11,7 @@ from rich.markup import escape
 from companion import present
 from companion.cli.commands import LOADING, SolutionKind, read, read_recording
 from companion.config import Config
-from companion.types import AidingReports, Event, Solution, VehicleRecording
+from companion.types import AdaptationTrace, AidingReports, Event, Solution, VehicleRecording
 from replay.window import Window, read_windows
 
 
@@ -29,6 +29,7 @@ class Solved:
     smoothed: Solution | None = None
     events: tuple[Event, ...] = ()
     notes: tuple[str, ...] = ()
+    adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
 
 
 def solve(
@@ -72,6 +73,7 @@ def _solve_forward(
                 stored.smoothed,
                 stored.events,
                 recording.notes,
+                stored.adaptation,
             )
     from replay.preparation import navigable
 
@@ -92,4 +94,5 @@ def _solve_forward(
         result.digest_published,
         events=result.events,
         notes=recording.notes,
+        adaptation=result.adaptation,
     )

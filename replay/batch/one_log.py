@@ -74,6 +74,7 @@ def work_on(
             withheld=withheld,
             notes=recording.notes,
             digest=run.digest,
+            adaptation=run.adaptation,
         )
         try:
             judgement = write_report(view, Path(out) / REPORTS / page)

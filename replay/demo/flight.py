@@ -270,6 +270,7 @@ def _report(
         events=stored.events,
         smoothed=track,
         digest=stored.digest,
+        adaptation=stored.adaptation,
     )
     judgement = write_report(view, files.report)
     return {"verdict": judgement.level, "headline": judgement.headline}

@@ -14,7 +14,8 @@ import numpy as np
 
 from companion import __version__
 from companion.types import NS, CompanionError
-from replay.report.panels import Panel, mode_spans, panels
+from replay.report.charts import Panel, Told
+from replay.report.panels import mode_spans, panels
 from replay.report.run_view import RunView
 from replay.report.track import track
 from replay.report.verdict import Judgement, judge
@@ -47,13 +48,17 @@ def page(run: RunView, judgement: Judgement) -> str:
             [(o.start_ns - run.origin_ns) / NS, (o.end_ns - run.origin_ns) / NS]
             for o in run.outages()
         ],
+        "faults": [
+            [(f.start_ns - run.origin_ns) / NS, (f.end_ns - run.origin_ns) / NS]
+            for f in run.source_faults()
+        ],
         "events": [
             {"t": (e.t_ns - run.origin_ns) / NS, "kind": e.kind, "level": e.level, "text": e.text}
             for e in run.events
         ],
         "span": _span(run),
         "track": ground,
-        "panels": msgspec.to_builtins(shown),
+        "panels": [{"id": p.id, "charts": msgspec.to_builtins(p.charts)} for p in shown],
     }
     sections = "\n".join(_section(panel) for panel in shown)
     return _PAGE.format(
@@ -134,8 +139,19 @@ def _section(panel: Panel) -> str:
     note = f"<p>{html.escape(panel.note)}</p>" if panel.note else ""
     return (
         f'<section id="{panel.id}"><h2>{html.escape(panel.title)}</h2>{note}'
-        f'<div class="charts"></div></section>'
+        f'<div class="charts"></div>{_told(panel.told)}</section>'
     )
+
+
+def _told(told: Told | None) -> str:
+    if told is None:
+        return ""
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in told.head)
+    rows = "".join(
+        f'<tr data-t="{t:.3f}">{"".join(f"<td>{html.escape(c)}</td>" for c in cells)}</tr>'
+        for t, cells in told.rows
+    )
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead>{rows}</table></div>'
 
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]], numbers: frozenset[int]) -> str:

@@ -1,15 +1,10 @@
-"""The panels of a report: what to draw, as plain objects that become the page's JSON.
-
-Only what happened gives a panel. Every panel is one or more charts over the common time axis; a
-chart joins tables, each with a time axis of its own.
-"""
+"""The panels of a report: what is drawn of a run. Only what happened gives a panel."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Literal
+from collections.abc import Iterator, Sequence
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from companion.navigation.rotation import rpy_from_quat
@@ -26,79 +21,21 @@ from companion.types import (
     Mode,
     Samples,
     Solution,
-    Verdict,
 )
 from replay.evaluation import errors_against
 from replay.export import euler_sd
-from replay.report.run_view import RunView
-from replay.report.series import Spans, pack
+from replay.report.adaptation import adaptation
+from replay.report.charts import Chart, Panel, Table, Tabled, spoken
+from replay.report.run_view import STOPPED, RunView
 
-Style = Literal["line", "dots", "band"]
 AXES = (("north", "N"), ("east", "E"), ("down", "D"))
 ANGLES = ("roll", "pitch", "yaw")
 
 
-class Line(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One series; ``of`` names what it is of, which gives its colour."""
-
-    label: str
-    of: str
-    values: str
-    style: Style = "line"
-    low: str | None = None
-    """Of a band: its lower edge, ``values`` being the upper one."""
-
-
-class Tabled(msgspec.Struct, frozen=True):
-    """Series over one time axis."""
-
-    t: str
-    lines: tuple[Line, ...]
-
-
-class Chart(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One pair of axes."""
-
-    title: str
-    unit: str
-    tables: tuple[Tabled, ...]
-    limit: float | None = None
-    """Where given, the axis goes from −limit to limit and the band may leave it."""
-
-
-class Panel(msgspec.Struct, frozen=True):
-    """A section of the page."""
-
-    id: str
-    title: str
-    note: str
-    charts: tuple[Chart, ...]
-
-
 def panels(run: RunView) -> list[Panel]:
     """Every panel that the run has something for, in the order of the page."""
-    makers = (_height, _velocity, _attitude, _errors, _innovations, _adaptation, _biases, _rates)
+    makers = (_height, _velocity, _attitude, _errors, _innovations, adaptation, _biases, _rates)
     return [panel for make in makers if (panel := make(run)) is not None and panel.charts]
-
-
-class _Table:
-    """Columns over one decimated time axis, on their way to a chart."""
-
-    def __init__(self, t_ns: I64, run: RunView) -> None:
-        order = np.flatnonzero(np.diff(t_ns, prepend=t_ns[0] - 1) > 0)
-        self._rows = order if len(order) < len(t_ns) else slice(None)
-        self._spans = Spans(t_ns[self._rows], run.origin_ns)
-
-    def line(self, label: str, of: str, column: F64, style: Style = "line") -> Line:
-        return Line(label, of, pack(self._spans.values(column[self._rows])), style)
-
-    def band(self, label: str, of: str, middle: F64, half: F64) -> Line:
-        low, high = (middle - half)[self._rows], (middle + half)[self._rows]
-        bottom, top = self._spans.envelope(low, high)
-        return Line(label, of, pack(top), "band", pack(bottom))
-
-    def of(self, lines: Iterable[Line]) -> Tabled:
-        return Tabled(pack(self._spans.times()), tuple(lines))
 
 
 def _known(column: F64) -> bool:
@@ -124,12 +61,12 @@ def _values(run: RunView, pick: Any, sd: Any, reference: Any, gnss: Any = None) 
         fixed = samples.fix_type >= run.config.gnss.min_fix_type
         values = gnss(samples)[fixed]
         if _known(values):
-            table = _Table(samples.t_ns[fixed], run)
+            table = Table(samples.t_ns[fixed], run)
             tables.append(table.of([table.line("GNSS", "gnss", values, "dots")]))
     for kind, solution in _solutions(run):
         if not len(solution):
             continue
-        table, values = _Table(solution.t_ns, run), pick(solution)
+        table, values = Table(solution.t_ns, run), pick(solution)
         lines = [table.line(kind, kind, values)]
         half = sd(solution)
         if kind == "forward" and _known(half):
@@ -138,7 +75,7 @@ def _values(run: RunView, pick: Any, sd: Any, reference: Any, gnss: Any = None) 
     for kind, samples in _references(run):
         values = reference(samples)
         if _known(values):
-            table = _Table(samples.t_ns, run)
+            table = Table(samples.t_ns, run)
             tables.append(table.of([table.line(kind, kind, values)]))
     return tables
 
@@ -218,7 +155,7 @@ def _errors(run: RunView) -> Panel | None:
                 values = factor * columns[row][:, axis]
                 if not _known(values):
                     continue
-                table = _Table(solution.t_ns, run)
+                table = Table(solution.t_ns, run)
                 half = factor * _sd(solution, row, axis)
                 lines = [table.line(of, of, values)]
                 if of == "forward" and _known(half):
@@ -261,8 +198,8 @@ def _innovations(run: RunView) -> Panel | None:
             half = gate * reports.innovation_sd[rows, axis]
             if not _known(y):
                 continue
-            table = _Table(reports.t_ns[rows], run)
-            refused = reports.verdict[rows] == Verdict.REJECTED_GATE
+            table = Table(reports.t_ns[rows], run)
+            refused = np.isin(reports.verdict[rows], STOPPED)
             lines = [
                 table.band("gate", "gate", np.zeros(len(y)), half),
                 table.line("innovation", "innovation", np.where(refused, np.nan, y), "dots"),
@@ -270,7 +207,7 @@ def _innovations(run: RunView) -> Panel | None:
             tables = [table.of(lines)]
             if refused.any():
                 # On an axis of their own: a refusal is never lost among what was accepted.
-                apart = _Table(reports.t_ns[rows[refused]], run)
+                apart = Table(reports.t_ns[rows[refused]], run)
                 tables.append(apart.of([apart.line("refused", "refused", y[refused], "dots")]))
             # Every innovation is inside; a gate that an outage opened wide is not.
             limit = 1.3 * max(float(np.nanmax(np.abs(y))), float(np.nanmedian(half)))
@@ -283,34 +220,8 @@ def _innovations(run: RunView) -> Panel | None:
     return Panel("innovations", "Innovations", note, tuple(charts))
 
 
-def spoken(channel: Channel) -> str:
-    """The channel's name for people: ``GNSS velocity``, ``GNSS vertical velocity``, ``baro``."""
-    words = channel.name.split("_")
-    if words[-1] == "V":
-        words.insert(1, "vertical")
-    kept = [w for w in words if w not in ("H", "V")]
-    return " ".join(w if w == "GNSS" else w.lower() for w in kept)
-
-
 def _axis(names: Sequence[str], axis: int) -> str:
     return names[axis] if axis < len(names) else "xyz"[axis]
-
-
-def _adaptation(run: RunView) -> Panel | None:
-    reports = run.reports
-    lines = []
-    for channel in Channel:
-        rows = np.flatnonzero((reports.channel == channel) & (reports.dof > 0))
-        scale = reports.scale[rows]
-        if len(rows) and np.any(scale != 1.0):
-            rows = rows[np.argsort(reports.t_ns[rows], kind="stable")]
-            table = _Table(reports.t_ns[rows], run)
-            name = spoken(channel)
-            lines.append(table.of([table.line(name, name, reports.scale[rows])]))
-    if not lines:
-        return None
-    chart = Chart("Factor on the measurement covariance R", "", tuple(lines))
-    return Panel("adaptation", "Adaptation", "1 is the noise as configured.", (chart,))
 
 
 def _biases(run: RunView) -> Panel | None:
@@ -325,7 +236,7 @@ def _biases(run: RunView) -> Panel | None:
                 values = factor * getattr(solution, name)[:, axis]
                 if not len(solution) or not _known(values):
                     continue
-                table = _Table(solution.t_ns, run)
+                table = Table(solution.t_ns, run)
                 lines = [table.line(of, of, values)]
                 half = factor * solution.sd[:, row, axis]
                 if of == "forward" and _known(half):
@@ -351,7 +262,7 @@ def _rates(run: RunView) -> Panel | None:
                 continue
             seconds = max(1, round(_slowest_s(samples)))
             t, rate = _rate(samples.t_ns, seconds)
-            table = _Table(t, run)
+            table = Table(t, run)
             tables.append(table.of([table.line(samples.source, samples.source, rate)]))
         if tables:
             charts.append(Chart(f"{kind.upper()} samples a second", "Hz", tuple(tables)))

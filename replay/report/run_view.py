@@ -2,14 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from companion.config import Config
-from companion.types import AidingReports, Event, Mode, ReferenceSamples, Solution, VehicleRecording
+from companion.types import (
+    NS,
+    AdaptationTrace,
+    AidingReports,
+    Channel,
+    Event,
+    Mode,
+    ReferenceSamples,
+    Solution,
+    VehicleRecording,
+    Verdict,
+)
 from replay.assessment import outages_of, references
 from replay.evaluation import Outage
 from replay.preparation import start_ns
 from replay.window import Window
+
+STOPPED = (Verdict.REJECTED_GATE, Verdict.REJECTED_SOURCE, Verdict.REJECTED_UNCONFIRMED)
+"""Verdicts on measurements that were compared with the solution and not used."""
+FAULT_GAP_NS = 3 * NS
+"""Times at which a source is not used, closer than this, are one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceFault:
+    """A time in which a receiver's position was taken for faulty and none of it was used."""
+
+    channel: Channel
+    source: int
+    start_ns: int
+    """First and, below, last measurement that was refused for it."""
+    end_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +57,7 @@ class RunView:
     withheld: tuple[Window, ...] = ()
     notes: tuple[str, ...] = ()
     digest: str | None = None
+    adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
 
     @property
     def origin_ns(self) -> int:
@@ -55,3 +85,15 @@ class RunView:
         """The published epochs that are a solution, in order of time."""
         s = self.solution
         return s.take((s.mode != Mode.ALIGNING).nonzero()[0])
+
+    def source_faults(self) -> list[SourceFault]:
+        """When a source was not used because it was held for faulty, in order of time."""
+        reports, found = self.reports, []
+        for channel in (Channel.GNSS_POSITION_H, Channel.GNSS_POSITION_V):
+            refused = (reports.channel == channel) & (reports.verdict == Verdict.REJECTED_SOURCE)
+            for source in np.unique(reports.source[refused]):
+                t = np.sort(reports.t_ns[refused & (reports.source == source)])
+                for part in np.split(t, np.flatnonzero(np.diff(t) > FAULT_GAP_NS) + 1):
+                    fault = SourceFault(channel, int(source), int(part[0]), int(part[-1]))
+                    found.append(fault)
+        return sorted(found, key=lambda fault: fault.start_ns)

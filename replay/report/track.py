@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from companion.navigation.earth import ned_difference
-from companion.types import F64, NS, Channel, Verdict
-from replay.report.run_view import RunView
+from companion.types import F64, NS, Channel
+from replay.report.run_view import STOPPED, RunView
 from replay.report.series import pack, thin_track
 
 
@@ -16,7 +16,7 @@ def track(run: RunView) -> dict[str, Any] | None:
     """Every track that there is, fixes, refused fixes and where GNSS was away; None: no solution.
 
     ``tracks``: ``{"of", "t", "n", "e"}`` with packed columns; ``refused``: the same of fixes whose
-    position the gate refused; ``origin``: latitude and longitude in degrees.
+    position was not used; ``origin``: latitude and longitude in degrees.
     """
     aligned = run.aligned()
     if not len(aligned):
@@ -58,7 +58,7 @@ def _columns(
 def _fixes(
     run: RunView, origin: tuple[float, float]
 ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-    """Fixes of the first receiver, and those among them whose position the gate refused."""
+    """Fixes of the first receiver, and those among them whose position was refused."""
     if not run.vehicle.gnss:
         return None, None
     gnss = run.vehicle.gnss[0]
@@ -67,9 +67,7 @@ def _fixes(
     if not len(fixes):
         return None, None
     reports = run.reports
-    stopped = (reports.channel == Channel.GNSS_POSITION_H) & (
-        reports.verdict == Verdict.REJECTED_GATE
-    )
+    stopped = (reports.channel == Channel.GNSS_POSITION_H) & np.isin(reports.verdict, STOPPED)
     # A report carries the time of validity; the fix was stamped later by its latency.
     latency = round(run.config.gnss.latency_ms * 1e6)
     away = np.isin(fixes.t_ns - latency, reports.t_ns[stopped])

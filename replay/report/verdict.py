@@ -14,7 +14,7 @@ import numpy as np
 
 from companion.types import COV_POS, F64, NS, Channel, Mode, Solution, Verdict
 from replay.evaluation import errors_against
-from replay.report.panels import spoken
+from replay.report.charts import spoken
 from replay.report.run_view import RunView
 
 Level = Literal["good", "degraded", "bad"]
@@ -33,6 +33,8 @@ SLOW_ERROR_M = 1.5
 of this size speaks against one. Receivers with an RTK fix do without."""
 UNAIDED_DEGRADED = 0.02
 """Share of the time without position or velocity aiding."""
+FAULTY_BAD = 0.3
+"""Share of the time for which a receiver was held for faulty."""
 MINIMUM_UPDATES = 30
 """Fewer updates of a channel than this say nothing about it."""
 
@@ -79,6 +81,7 @@ def _evidence(run: RunView) -> Iterator[Evidence]:
     yield from _stated(aligned)
     yield from _modes(run, aligned)
     yield from _gates(run)
+    yield from _sources(run, aligned)
     yield from _declared(run)
     yield from _sensors(run)
 
@@ -200,6 +203,22 @@ def _gates(run: RunView) -> Iterator[Evidence]:
                 f"innovations of {name} are {np.sqrt(nis):.1f} times what was expected",
                 f"Stated noise too small, or a wrong latency (NIS {nis:.1f}, honest: 1).",
             )
+
+
+def _sources(run: RunView, aligned: Solution) -> Iterator[Evidence]:
+    """Receivers that contradicted themselves: refused is right, and somebody should know."""
+    length_s = max((aligned.t_ns[-1] - aligned.t_ns[0]) / NS, 1.0)
+    for channel in (Channel.GNSS_POSITION_H, Channel.GNSS_POSITION_V):
+        mine = [f for f in run.source_faults() if f.channel == channel]
+        if not mine:
+            continue
+        seconds = sum((f.end_ns - f.start_ns) / NS for f in mine)
+        yield Evidence(
+            "bad" if seconds > FAULTY_BAD * length_s else "degraded",
+            f"{spoken(channel)} was held for faulty {len(mine)} time{'s' * (len(mine) > 1)}, "
+            f"{seconds:.0f} s together, and not used then",
+            "Reflections, jamming or spoofing: see the source faults for when and by how much.",
+        )
 
 
 def _declared(run: RunView) -> Iterator[Evidence]:

@@ -49,7 +49,7 @@ def test_episodes_say_what_when_and_why() -> None:
     # three seconds of return do not end it, twenty do
     assert (first.what, first.channel) == ("R", "gnss_position_h")
     assert (first.start_s, first.end_s, first.greatest) == (8.0, 14.0, 25.0)
-    assert first.because == "spread high, mean zero"
+    assert first.because == "innovations scatter more than expected, about zero"
     assert last.start_s == last.end_s == 35.0
 
 
@@ -57,7 +57,9 @@ def test_a_cause_is_named_for_a_mean() -> None:
     trace = _trace([1.0] * 4, [1.0, 8.0, 8.0, 1.0], Rule.SPREAD_USUAL_MEAN_LARGE, 0.9)
     (told,) = episodes(trace, 0)
     assert told.what == "Q"
-    assert told.because == "spread usual, mean large: taken for the inertial unit's"
+    assert told.because == (
+        "innovations scatter as expected, far off zero: taken for the inertial unit's error"
+    )
 
 
 def test_nothing_adapted_is_nothing_told() -> None:

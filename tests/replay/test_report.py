@@ -108,8 +108,12 @@ def nominal(scenario: Scenario, vehicle: VehicleRecording) -> RunView:
     return view(scenario, vehicle)
 
 
-def view(scenario: Scenario, vehicle: VehicleRecording, *windows: Window) -> RunView:
+def view(
+    scenario: Scenario, vehicle: VehicleRecording, *windows: Window, method: str = "none"
+) -> RunView:
     config = matching_config(scenario)
+    adaptation = msgspec.structs.replace(config.adaptation, method=method)
+    config = msgspec.structs.replace(config, adaptation=adaptation)
     run = run_session(vehicle, ChosenConfig(config, "of the scenario", ""), outages=windows)
     return RunView(
         name="a <flight>.tlog",
@@ -120,6 +124,7 @@ def view(scenario: Scenario, vehicle: VehicleRecording, *windows: Window) -> Run
         events=run.events,
         withheld=windows,
         digest=run.digest,
+        adaptation=run.adaptation,
     )
 
 
@@ -211,3 +216,48 @@ def test_only_what_happened_has_a_panel(nominal: RunView) -> None:
     without = replace(nominal.vehicle, truth=None, autopilot=None)
     assert "errors" in ids(nominal)
     assert "errors" not in ids(replace(nominal, vehicle=without))
+
+
+def test_a_receiver_that_becomes_noisy_is_told_in_words_with_its_rule(
+    scenario: Scenario, vehicle: VehicleRecording
+) -> None:
+    gnss = vehicle.gnss[0]
+    t = (gnss.t_ns - start_ns(vehicle)) / NS
+    worse = np.where(t > 60, 4.0, 0.0) * np.random.default_rng(2).normal(size=len(t)) / 6.4e6
+    noisy = replace(vehicle, gnss=(replace(gnss, lat=gnss.lat + worse),))
+    run = view(scenario, noisy, method="fuzzy")
+    (panel,) = [p for p in panels(run) if p.id == "adaptation"]
+    assert panel.charts[0].logarithmic
+    series = {x.label: np.array(unpack(x.values)) for t in panel.charts[0].tables for x in t.lines}
+    assert np.nanmax(series["GNSS position"]) > 4.0
+    assert panel.told is not None
+    words = [cells for begin, cells in panel.told.rows if 55 < begin < 75]
+    assert ("R of GNSS position", "innovations scatter more than expected, about zero") in [
+        (cells[2], cells[4]) for cells in words
+    ]
+    assert 'data-t="' in page(run, judge(run)).split('id="adaptation"')[1].split("</section>")[0]
+
+
+def test_a_source_fault_is_a_span_a_row_and_evidence(
+    scenario: Scenario, vehicle: VehicleRecording
+) -> None:
+    gnss = vehicle.gnss[0]
+    t = (gnss.t_ns - start_ns(vehicle)) / NS
+    ramp = np.clip(t - 60, 0, 25) * (t < 85) * 2.0 / 6.4e6
+    run = view(scenario, replace(vehicle, gnss=(replace(gnss, lat=gnss.lat + ramp),)))
+    faults = run.source_faults()
+    assert faults
+    begin = (faults[0].start_ns - run.origin_ns) / NS
+    end = (faults[-1].end_ns - run.origin_ns) / NS
+    assert 60 < begin < 80
+    assert 80 < end < 92  # back within seconds of the ramp's end
+    judgement = judge(run)
+    assert judgement.level == "degraded"
+    assert any("held for faulty" in e.text for e in judgement.evidence)
+    shown = data_of(page(run, judgement))
+    assert shown["faults"][0][0] == pytest.approx(begin)
+    (panel,) = [p for p in panels(run) if p.id == "adaptation"]
+    assert panel.told is not None
+    assert any("drifts from its own velocity" in cells[4] for _, cells in panel.told.rows)
+    refused = np.array(unpack(shown["track"]["refused"]["t"]))
+    assert np.all((refused > 60) & (refused < end + 1))  # by the gate first

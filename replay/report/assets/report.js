@@ -2,6 +2,7 @@
 /* The report's charts over one common time axis, its strip of modes, and its track. */
 
 const LOWER = "lower edge";  // a band is two series, and one entry of the legend
+const FAULT = "rgba(106, 27, 154, 0.9)", FAULTY = "rgba(106, 27, 154, 0.10)";
 const charts = [];
 let range = RUN.span.slice();
 const plane = document.getElementById("map")
@@ -34,6 +35,11 @@ function drawBackground(u) {
     const x = u.valToPos(a, "x", true);
     g.fillRect(x, top, u.valToPos(b, "x", true) - x, height);
   }
+  g.fillStyle = FAULTY;
+  for (const [a, b] of RUN.faults) {
+    const x = u.valToPos(a, "x", true);
+    g.fillRect(x, top, Math.max(1, u.valToPos(b, "x", true) - x), height);
+  }
   for (const event of RUN.events) {
     if (event.level === "info") continue;
     g.fillStyle = LEVELS[event.level];
@@ -51,6 +57,8 @@ function drawStrip() {
   }
   g.fillStyle = "rgba(191, 54, 12, 0.9)";
   for (const [a, b] of RUN.outages) g.fillRect(x(a), 20, Math.max(1, x(b) - x(a)), 5);
+  g.fillStyle = FAULT;
+  for (const [a, b] of RUN.faults) g.fillRect(x(a), 20, Math.max(1, x(b) - x(a)), 5);
   for (const event of RUN.events) {
     g.fillStyle = LEVELS[event.level];
     g.fillRect(x(event.t) - 1, 27, 2, 7);
@@ -83,7 +91,8 @@ function assemble(chart, width) {
   const unit = chart.unit ? ` (${chart.unit})` : "";
   return [{
     title: chart.title + unit, width, height: 190, series, bands,
-    scales: { x: { time: false }, y: chart.limit ? { range: [-chart.limit, chart.limit] } : {} },
+    scales: { x: { time: false }, y: chart.limit ? { range: [-chart.limit, chart.limit] }
+      : chart.logarithmic ? { distr: 3 } : {} },
     axes: [{ size: 26 }, { size: 64 }],
     cursor: { sync: { key: "time", setSeries: false }, drag: { x: true, y: false } },
     legend: { live: false, markers: { width: 3 } },
@@ -154,6 +163,7 @@ if (plane) {
 const shown = new Set(RUN.modes.map((m) => m.mode));
 const stripEntries = Object.entries(MODES).filter(([mode]) => shown.has(mode));
 if (RUN.outages.length) stripEntries.push(["no GNSS", "rgba(191, 54, 12, 0.9)"]);
+if (RUN.faults.length) stripEntries.push(["GNSS held for faulty", FAULT]);
 if (RUN.events.length) stripEntries.push(["events", LEVELS.info]);
 legend(document.getElementById("strip-legend"), stripEntries);
 new ResizeObserver(() => drawStrip()).observe(document.getElementById("strip"));
@@ -164,7 +174,7 @@ window.addEventListener("resize", () => {
     for (const u of charts) u.setSize({ width: u.root.parentElement.clientWidth, height: 190 });
   }, 150);
 });
-for (const row of document.querySelectorAll("#events tr[data-t]")) {
+for (const row of document.querySelectorAll("tr[data-t]")) {
   row.addEventListener("click", () => {
     const t = Number(row.dataset.t);
     zoom(t - 20, t + 20);
