@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -113,7 +112,7 @@ def test_full_text_gives_the_same_configuration_back(path: Path) -> None:
     assert "bias_walk_m_rts" in text
 
 
-@given(st.text(max_size=30), st.floats(allow_nan=False, min_value=1e-300))
+@given(st.text(max_size=30), st.floats(allow_nan=False, allow_infinity=False, min_value=1e-300))
 def test_full_text_keeps_odd_names_and_numbers(name: str, noise: float) -> None:
     base = Config()
     config = msgspec.structs.replace(
@@ -123,7 +122,7 @@ def test_full_text_keeps_odd_names_and_numbers(name: str, noise: float) -> None:
     )
     again = parse(to_toml(config))
     assert again.vehicle.name == name
-    assert again.imu.accel_scale_sd_ppm == noise or math.isinf(noise)
+    assert again.imu.accel_scale_sd_ppm == noise
 
 
 def test_choice_of_configuration(tmp_path: Path) -> None:

@@ -3,9 +3,10 @@
 ``python -m tests.benchmarks.scenarios [--seeds N] [--only NAME,…] [--methods A,B,…] [--jobs 2]``
 
 A run is a simulated flight with truth (:mod:`replay.simulator.suite`), straight into the engine;
-figures are of the published solution from 40 s on: RMS of the 3-D position error over all seeds,
-and the largest of any. Beside every method stands its change against the first one. For faults
-of position a second table says what they moved, when they were declared and when taken back.
+figures are from 40 s on: RMS of the 3-D position error over all seeds, and the largest of any.
+Beside every method stands its change against the first one. For faults of position a second table
+says what they moved, when they were declared and when taken back. Aiding is handed over when it is
+valid: late aiding settles to the same bits, at four times the cost.
 """
 
 from __future__ import annotations
@@ -14,15 +15,16 @@ import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
-from typing import get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import msgspec
 import numpy as np
 
 from companion.config import Config
 from companion.navigation.earth import ned_difference
-from companion.types import F64, NS, Channel, Event, Outputs, Solution, Verdict
+from companion.types import F64, NS, Channel, Event, Outputs, Solution, VehicleRecording, Verdict
 from replay.player import play
 from replay.simulator.simulation import Simulation, run
 from replay.simulator.suite import BEGIN_S, DURATION_S, SETTLED_S, SUITE, Trial
@@ -76,6 +78,25 @@ class Flown(msgspec.Struct):
     bad_fused: int
 
 
+def prompt(vehicle: VehicleRecording, config: Config) -> VehicleRecording:
+    """The same samples, each arriving when it is valid, aiding before an inertial sample."""
+    latency = {"gnss": config.gnss.latency_ms, "baro": config.baro.latency_ms}
+    streams = {"imu": vehicle.imu[0], "gnss": vehicle.gnss[0], "baro": vehicle.baro[0]}
+    arrival = {
+        kind: s.t_ns - (round(latency[kind] * 1e6) + 1 if kind in latency else 0)
+        for kind, s in streams.items()
+    }
+    order = np.argsort(np.concatenate(list(arrival.values())), kind="stable")
+    number = np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order))
+    cuts = np.cumsum([len(s) for s in streams.values()])[:-1]
+    moved: dict[str, Any] = {
+        kind: (replace(s, t_rx_ns=arrival[kind], seq=seq),)
+        for (kind, s), seq in zip(streams.items(), np.split(number, cuts), strict=True)
+    }
+    return replace(vehicle, **moved)
+
+
 def fly(sim: Simulation, config: Config, trial: Trial) -> Flown:
     """One flight through a new engine; its published solution."""
     parts: list[Solution] = []
@@ -93,7 +114,7 @@ def fly(sim: Simulation, config: Config, trial: Trial) -> Flown:
         for fault in faults:
             fused += int(np.sum((t >= fault.start_s) & (t < fault.start_s + fault.length_s)))
 
-    play(sim.recording, config, sink)
+    play(prompt(sim.recording, config), config, sink)
     return Flown(Solution.concatenate(parts), events, fused)
 
 
