@@ -32,9 +32,12 @@ waits: list[Callable[[], None]] = []
 class Kernel(Generic[Given, Result]):
     """A jitted function of one signature; other kernels may call it, and so may Python."""
 
-    def __init__(self, function: Callable[Given, Result], signature: str, cached: bool) -> None:
+    def __init__(
+        self, function: Callable[Given, Result], signature: str, cached: bool, counted: bool
+    ) -> None:
         update_wrapper(self, function)
         self._function, self._signature, self._cached = function, signature, cached
+        self._options: dict[str, Any] = {} if counted else {"_nrt": False}
         self._machine: Any = None
 
     @property
@@ -45,7 +48,7 @@ class Kernel(Generic[Given, Result]):
     @cached_property
     def kernel_key(self) -> str:
         """Hash of all that its machine code is made of."""
-        return _kernel_cache.key(self._function, self._signature)
+        return _kernel_cache.key(self._function, f"{self._signature} {self._options}")
 
     @property
     def ready(self) -> bool:
@@ -61,7 +64,7 @@ class Kernel(Generic[Given, Result]):
             with _without_blas():
                 import numba
 
-                machine: Any = numba.njit(self._function)
+                machine: Any = numba.njit(**self._options)(self._function)
                 if self._cached:
                     machine._cache = _kept(self)
                 machine.compile(self._signature)
@@ -138,12 +141,17 @@ def _without_blas() -> Iterator[None]:
 
 
 def njit(
-    signature: str, *, cache: bool
+    signature: str, *, cache: bool, counted: bool = True
 ) -> Callable[[Callable[Given, Result]], Kernel[Given, Result]]:
-    """As ``numba.njit`` with a signature, loaded when first needed."""
+    """As ``numba.njit`` with a signature, loaded when first needed.
+
+    ``counted`` false, for what runs at every sample: nobody counts who holds an array. Numba counts
+    with atomic instructions at every view, slice and argument, which were a third of the walk; a
+    kernel without it can make no array of its own, and gets its scratch handed in.
+    """
 
     def wrapped(function: Callable[Given, Result]) -> Kernel[Given, Result]:
-        kernel = Kernel(function, signature, cache)
+        kernel = Kernel(function, signature, cache, counted)
         made.append(kernel)
         return kernel
 

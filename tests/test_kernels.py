@@ -34,7 +34,7 @@ def _scaled(x: float) -> float:
 
 def kernel_of(function: Callable[..., float]) -> _jit.Kernel[..., float]:
     """As where a module is imported: nothing loaded."""
-    return _jit.Kernel(function, SIGNATURE, True)
+    return _jit.Kernel(function, SIGNATURE, True, True)
 
 
 called = kernel_of(_called)

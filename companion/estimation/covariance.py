@@ -54,7 +54,7 @@ STRIDE = (MAX_STATES + 7) // 8 * 8
 """Columns of the scratch that covariances are worked on in."""
 
 
-@njit("void(f8[:, :, ::1], i8, i8, f8[::1], i8, f8[::1])", cache=True)
+@njit("void(f8[:, :, ::1], i8, i8, f8[::1], i8, f8[::1])", cache=True, counted=False)
 def _apply(B: F64, i_sa: int, i_sg: int, X: F64, cols: int, Y: F64) -> None:
     """Rows p, v, φ of Φ times the first ``cols`` columns of ``X``, into ``Y``.
 
@@ -138,7 +138,7 @@ def apply_transition(B: F64, i_sa: int, i_sg: int, X: F64, cols: int, Y: F64) ->
             Y[i, j] = W[n + i, j]
 
 
-@njit("f8(f8[::1], f8[:, ::1], i8, i8, f8)", cache=True)
+@njit("f8(f8[::1], f8[:, ::1], i8, i8, f8)", cache=True, counted=False)
 def _decay(s: F64, P: F64, start: int, nominal: int, tau: float) -> float:
     """Gauss-Markov decay of three slow states, in state and covariance.
 
@@ -156,7 +156,7 @@ def _decay(s: F64, P: F64, start: int, nominal: int, tau: float) -> float:
     return 0.5 * tau * (1.0 - d * d)
 
 
-@njit("void(f8[::1], f8[:, ::1], i8[::1], f8[::1], f8[::1])", cache=True)
+@njit("void(f8[::1], f8[:, ::1], i8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def _decay_and_noise(s: F64, P: F64, lay: I64, par: F64, q: F64) -> None:
     """Decay of the slow states, and all process noise; ``q`` (≥ 6,) is scratch."""
     T = s[SUM_T]
@@ -193,7 +193,7 @@ def _decay_and_noise(s: F64, P: F64, lay: I64, par: F64, q: F64) -> None:
             at += 1
 
 
-@njit("b1(f8[::1], i8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1])", cache=True)
+@njit("b1(f8[::1], i8[::1], f8[::1], f8[:, :, ::1], f8[:, ::1])", cache=True, counted=False)
 def propagate(s: F64, lay: I64, par: F64, B: F64, W: F64) -> bool:
     """Close the running interval: P ← Φ P Φᵀ + Q in ``s``, and clear the sums.
 

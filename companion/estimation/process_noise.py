@@ -34,7 +34,7 @@ SATURATED_GAIN = 0.05**2
 the default of imu.vibration_gain_rthz, and for the same reasons."""
 
 
-@njit("f8(f8[::1], f8[::1])", cache=True)
+@njit("f8(f8[::1], f8[::1])", cache=True, counted=False)
 def velocity_noise(s: F64, par: F64) -> float:
     """Variance that each component of velocity gains [m²/s²].
 
@@ -44,7 +44,7 @@ def velocity_noise(s: F64, par: F64) -> float:
     return float(np.float32(psd * s[SUM_T] + s[SUM_XV]))
 
 
-@njit("void(f8[::1], f8[::1], f8[::1])", cache=True)
+@njit("void(f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def attitude_noise(s: F64, par: F64, q: F64) -> None:
     """``q`` (6,): covariance that φ gains [rad²], as xx, xy, xz, yy, yz, zz.
 
@@ -70,7 +70,7 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
             at += 1
 
 
-@njit("f8(f8[::1])", cache=True)
+@njit("f8(f8[::1])", cache=True, counted=False)
 def bias_noise(s: F64) -> float:
     """Factor on what drives the biases: the square of that on noise.
 

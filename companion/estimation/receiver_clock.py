@@ -45,7 +45,7 @@ LET_GO_VAR, LET_GO_DRIFT_VAR = 1e5**2, 10.0**2
 at another temperature [(m/s)²]."""
 
 
-@njit("void(f8, f8, f8[::1])", cache=True)
+@njit("void(f8, f8, f8[::1])", cache=True, counted=False)
 def carry_clock(T: float, ramp_decay: float, x: F64) -> None:
     """``x`` (CLOCK_STATES,) ← Φ x over ``T`` [s]."""
     x[BIAS] += T * x[DRIFT] + 0.5 * T * T * x[RAMP]
@@ -53,20 +53,20 @@ def carry_clock(T: float, ramp_decay: float, x: F64) -> None:
     x[RAMP] *= ramp_decay
 
 
-@njit("void(f8, f8[::1])", cache=True)
+@njit("void(f8, f8[::1])", cache=True, counted=False)
 def carry_clock_back(T: float, x: F64) -> None:
     """``x`` (CLOCK_STATES,) ← Φᵀ x but for the ramp's decay, which is every slow state's."""
     x[RAMP] += 0.5 * T * T * x[BIAS] + T * x[DRIFT]
     x[DRIFT] += T * x[BIAS]
 
 
-@njit("f8(f8, f8[::1])", cache=True)
+@njit("f8(f8, f8[::1])", cache=True, counted=False)
 def clock_cross_noise(T: float, par: F64) -> float:
     """Covariance that bias and drift gain over ``T`` [s]."""
     return float(0.5 * par[CLOCK_DRIFT_PSD] * T * T)
 
 
-@njit("void(f8, f8, f8[::1], f8, f8[::1])", cache=True)
+@njit("void(f8, f8, f8[::1], f8, f8[::1])", cache=True, counted=False)
 def clock_noise(T: float, let_go: float, par: F64, ramp_decay: float, q: F64) -> None:
     """``q`` (CLOCK_STATES,): variances that the states gain over ``T`` [s]."""
     q[BIAS] = par[CLOCK_PSD] * T + par[CLOCK_DRIFT_PSD] * T * T * T / 3.0 + let_go * LET_GO_VAR
@@ -76,7 +76,7 @@ def clock_noise(T: float, let_go: float, par: F64, ramp_decay: float, q: F64) ->
         q[i] = par[SYSTEM_BIAS_PSD] * T
 
 
-@njit("void(f8[::1], i8[::1], f8[::1], f8, f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], f8[::1], f8, f8[::1])", cache=True, counted=False)
 def step_clock(s: F64, lay: I64, par: F64, T: float, q: F64) -> None:
     """Carry clock and covariance in ``s`` over ``T`` [s]; ``q`` (≥ CLOCK_STATES,) is scratch."""
     b = lay[L_CLOCK]

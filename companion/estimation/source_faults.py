@@ -124,7 +124,7 @@ GAP_VAR = 4.0
 LONGEST_STEP_S = 5.0
 
 
-@njit("void(f8[::1], i8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1])", cache=True, counted=False)
 def forget(s: F64, k: I64) -> None:
     """Know nothing of the source: position has been taken from it anew."""
     for i in range(2 * SOURCE_SIZE):
@@ -133,7 +133,7 @@ def forget(s: F64, k: I64) -> None:
         k[SOURCE_K + i] = 0
 
 
-@njit("f8(i8[::1], f8[::1], i8, f8)", cache=True)
+@njit("f8(i8[::1], f8[::1], i8, f8)", cache=True, counted=False)
 def slow_variance(lay: I64, par: F64, part: int, r: float) -> float:
     """Variance of a receiver's slow error: as configured, else all of a fix's ``r`` [m²]."""
     if lay[L_GNSS] < 0:
@@ -141,7 +141,7 @@ def slow_variance(lay: I64, par: F64, part: int, r: float) -> float:
     return float(par[GNSS_PSD + part] * par[GNSS_TAU] * 0.5)
 
 
-@njit("f8(f8[::1], i8[::1], i8)", cache=True)
+@njit("f8(f8[::1], i8[::1], i8)", cache=True, counted=False)
 def position_variance(s: F64, lay: I64, part: int) -> float:
     """Variance of position an axis, of the horizontal or the vertical part [m²]."""
     n = lay[L_N]
@@ -150,13 +150,13 @@ def position_variance(s: F64, lay: I64, part: int) -> float:
     return float(0.5 * (s[P_OFFSET] + s[P_OFFSET + n + 1]))
 
 
-@njit("b1(f8[::1], i8[::1], i8)", cache=True)
+@njit("b1(f8[::1], i8[::1], i8)", cache=True, counted=False)
 def witness(s: F64, k: I64, t: int) -> bool:
     """Whether aided velocity vouches for the shadow."""
     return bool(t - k[T_VELOCITY_AID] <= WITNESS_NS and s[VELOCITY_FIT] < WITNESS_FIT)
 
 
-@njit("f8(f8[::1], i8, f8[::1], i8)", cache=True)
+@njit("f8(f8[::1], i8, f8[::1], i8)", cache=True, counted=False)
 def _square(f: F64, at: int, u: F64, m: int) -> float:
     """Square of the distance of ``u`` (m,) from the mean at ``at`` [m²]."""
     total = 0.0
@@ -165,7 +165,7 @@ def _square(f: F64, at: int, u: F64, m: int) -> float:
     return total
 
 
-@njit("void(f8[::1], i8[::1], f8[::1], i8, i8)", cache=True)
+@njit("void(f8[::1], i8[::1], f8[::1], i8, i8)", cache=True, counted=False)
 def _begin(f: F64, q: I64, u: F64, m: int, t: int) -> None:
     """Lay the base at this fix; the shadow begins at the filter's position."""
     for i in range(m):
@@ -178,7 +178,7 @@ def _begin(f: F64, q: I64, u: F64, m: int, t: int) -> None:
     q[T_REFUSED] = q[STATE] = q[RELOCK] = q[AFRESH] = 0
 
 
-@njit("void(f8[::1], i8[::1], f8[::1], i8, i8, f8, f8, f8, f8)", cache=True)
+@njit("void(f8[::1], i8[::1], f8[::1], i8, i8, f8, f8, f8, f8)", cache=True, counted=False)
 def _means(
     f: F64, q: I64, u: F64, m: int, t: int, r: float, slow: float, tau: float, grown: float
 ) -> None:
@@ -220,7 +220,7 @@ def _means(
             f[STEADY + i] += steady_gain * (u[i] - f[STEADY + i])
 
 
-@njit("void(f8[::1], i8[::1], i8, b1)", cache=True)
+@njit("void(f8[::1], i8[::1], i8, b1)", cache=True, counted=False)
 def _declare(f: F64, q: I64, t: int, vouched: bool) -> None:
     """Whether a trusted source is a fault from this fix on."""
     drifts = f[MISFIT] > LIMIT * LIMIT * f[MISFIT_VAR] and t - q[T_BASE] >= ARMED_NS
@@ -238,7 +238,7 @@ def _declare(f: F64, q: I64, t: int, vouched: bool) -> None:
     f[AGREEING] = 0.0
 
 
-@njit("void(f8[::1], i8[::1], f8[::1], i8, f8)", cache=True)
+@njit("void(f8[::1], i8[::1], f8[::1], i8, f8)", cache=True, counted=False)
 def _take_back(f: F64, q: I64, u: F64, m: int, near: float) -> None:
     """Whether a faulty source is trusted again: ``near`` is the variance of u about the base."""
     f[AGREEING] = f[AGREEING] + 1.0 if _square(f, BASE, u, m) <= AGREES * near else 0.0
@@ -251,7 +251,7 @@ def _take_back(f: F64, q: I64, u: F64, m: int, near: float) -> None:
         f[FAST + i] = u[i]
 
 
-@njit("void(i8[::1], i8[::1], i8, b1)", cache=True)
+@njit("void(i8[::1], i8[::1], i8, b1)", cache=True, counted=False)
 def _may_relock(q: I64, ipar: I64, t: int, vouched: bool) -> None:
     """Whether the filter should take the source's word: it has told one place for long enough."""
     q[RELOCK] = 0
@@ -269,20 +269,23 @@ def _may_relock(q: I64, ipar: I64, t: int, vouched: bool) -> None:
             q[RELOCK] = ASK_VELOCITY
 
 
-@njit("f8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[::1], f8[::1], i8)", cache=True)
+@njit(
+    "f8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[::1], f8[::1], i8, f8[::1])",
+    cache=True,
+    counted=False,
+)
 def weigh(
-    s: F64, k: I64, lay: I64, par: F64, ipar: I64, part: int, y: F64, R: F64, t: int
+    s: F64, k: I64, lay: I64, par: F64, ipar: I64, part: int, y: F64, R: F64, t: int, u: F64
 ) -> float:
     """Hold a fix against the shadow before it is gated: the verdict that bars it, or ACCEPTED.
 
     ``part`` 0 horizontal, 1 vertical; ``y`` (3,) innovation against the nominal state [m], its
-    first one or two entries used, ``R`` (3,) variances [m²].
+    first one or two entries used, ``R`` (3,) variances [m²]; ``u`` (≥ 2,) is scratch.
     """
     f = s[SOURCE + part * SOURCE_SIZE : SOURCE + (part + 1) * SOURCE_SIZE]
     q = k[SOURCE_K + part * SOURCE_INTS : SOURCE_K + (part + 1) * SOURCE_INTS]
     m, axis = 2 - part, 2 * part
     r = 0.0
-    u = np.zeros(2)
     for i in range(m):
         r += R[i] / m
         u[i] = y[i] + s[GNSS_BIAS + axis + i] + f[PULL + i]
@@ -317,7 +320,7 @@ def weigh(
     return REJECTED_SOURCE if q[STATE] != TRUSTED else ACCEPTED
 
 
-@njit("void(f8[::1], i8[::1], i8[::1], i8, f8[::1], i8, f8)", cache=True)
+@njit("void(f8[::1], i8[::1], i8[::1], i8, f8[::1], i8, f8)", cache=True, counted=False)
 def settle(s: F64, k: I64, lay: I64, part: int, dx: F64, t: int, verdict: float) -> None:
     """Note what became of a fix that was weighed; ``dx`` (n,) the correction if it was fused."""
     f = s[SOURCE + part * SOURCE_SIZE : SOURCE + (part + 1) * SOURCE_SIZE]
@@ -330,14 +333,14 @@ def settle(s: F64, k: I64, lay: I64, part: int, dx: F64, t: int, verdict: float)
         f[FUSED_VAR], f[REFUSED] = f[AFTER_VAR], 0.0
         q[T_REFUSED] = 0
         if q[AFRESH] == 1:
-            _begin(f, q, f[LAST : LAST + m].copy(), m, t)
+            _begin(f, q, f[LAST : LAST + m], m, t)
     elif verdict != REJECTED_UNCONFIRMED:
         f[REFUSED] += 1.0
         if q[T_REFUSED] == 0:
             q[T_REFUSED] = t
 
 
-@njit("b1(i8[::1])", cache=True)
+@njit("b1(i8[::1])", cache=True, counted=False)
 def undecided(k: I64) -> bool:
     """Whether a decision above the kernel is due: something to tell, or a relock."""
     for part in range(2):
@@ -347,7 +350,7 @@ def undecided(k: I64) -> bool:
     return False
 
 
-@njit("b1(f8[::1], i8[::1], i8, i8, i8, f8[::1])", cache=True)
+@njit("b1(f8[::1], i8[::1], i8, i8, i8, f8[::1])", cache=True, counted=False)
 def report_source(s: F64, k: I64, part: int, source: int, t: int, report: F64) -> bool:
     """Fill a report row with the misfit, at the first fix of a second and where the state changes.
 

@@ -83,7 +83,7 @@ be smoothed with the cell of the last one.
 """
 
 
-@njit(f"void({RECORDER}, f8[::1], i8[::1], f8[::1])", cache=True)
+@njit(f"void({RECORDER}, f8[::1], i8[::1], f8[::1])", cache=True, counted=False)
 def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     """Put down the running covariance interval of ``s``, before it is closed."""
     kinds, coarse, fine, at = tape
@@ -97,7 +97,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     for i in range(3):
         c[C_VEL + i] = s[VEL_N + i]
     c[C_NOISE_V] = velocity_noise(s, par)
-    q = np.empty(6)
+    q = fine[at[FINE] :]  # scratch until the sums are put there
     attitude_noise(s, par, q)
     for i in range(6):
         c[C_NOISE_A + i] = q[i]
@@ -110,7 +110,7 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
     at[FINE] += size
 
 
-@njit(f"void({RECORDER}, f8[::1], f8[::1], f8, f8, i8)", cache=True)
+@njit(f"void({RECORDER}, f8[::1], f8[::1], f8, f8, i8)", cache=True, counted=False)
 def record_update(tape: Recorder, H: F64, gain: F64, r: float, y: float, n: int) -> None:
     """Put down a scalar update: ``H`` (n,), ``gain`` = P Hᵀ r, ``r`` = 1/√S, innovation ``y``."""
     kinds, _, fine, at = tape
@@ -131,7 +131,7 @@ def record_update(tape: Recorder, H: F64, gain: F64, r: float, y: float, n: int)
     at[FINE] = f + F_GAIN + n + count
 
 
-@njit("void(f8[::1], i8, f8[::1])", cache=True)
+@njit("void(f8[::1], i8, f8[::1])", cache=True, counted=False)
 def read_h(update: F64, n: int, H: F64) -> None:
     """``H`` (n,) of a recorded update."""
     mask = int(update[F_MASK])
@@ -143,7 +143,7 @@ def read_h(update: F64, n: int, H: F64) -> None:
             at += 1
 
 
-@njit(f"void({RECORDER}, f8[::1])", cache=True)
+@njit(f"void({RECORDER}, f8[::1])", cache=True, counted=False)
 def record_turn(tape: Recorder, dx: F64) -> None:
     """Put down the reset of the attitude error by the correction ``dx`` (n,)."""
     kinds, _, fine, at = tape
@@ -156,7 +156,7 @@ def record_turn(tape: Recorder, dx: F64) -> None:
     at[FINE] += F_TURN
 
 
-@njit(f"void({RECORDER}, f8)", cache=True)
+@njit(f"void({RECORDER}, f8)", cache=True, counted=False)
 def record_fade(tape: Recorder, square: float) -> None:
     """Put down that P was multiplied by ``square``.
 
@@ -172,19 +172,19 @@ def record_fade(tape: Recorder, square: float) -> None:
     at[FINE] += F_FADE
 
 
-@njit("void(f8[::1], i8)", cache=True)
+@njit("void(f8[::1], i8)", cache=True, counted=False)
 def write_time(f: F64, t: int) -> None:
     """A time [ns] as two numbers that hold it exactly."""
     f[0], f[1] = t // SECOND, t % SECOND
 
 
-@njit("i8(f8[::1])", cache=True)
+@njit("i8(f8[::1])", cache=True, counted=False)
 def read_time(f: F64) -> int:
     """The time [ns] behind two numbers."""
     return int(f[0]) * SECOND + int(f[1])
 
 
-@njit(f"void({RECORDER}, i8)", cache=True)
+@njit(f"void({RECORDER}, i8)", cache=True, counted=False)
 def record_fix(tape: Recorder, t: int) -> None:
     """On line: mark that a fix valid at ``t`` was taken in, the end of an update interval."""
     kinds, _, fine, at = tape
@@ -196,7 +196,7 @@ def record_fix(tape: Recorder, t: int) -> None:
     at[FINE] += F_TIME
 
 
-@njit(f"void({RECORDER}, f8[::1], i8[::1], i8, f8[::1])", cache=True)
+@njit(f"void({RECORDER}, f8[::1], i8[::1], i8, f8[::1])", cache=True, counted=False)
 def record_row(tape: Recorder, s: F64, lay: I64, t: int, row: F64) -> None:
     """Mark an output row at ``t``, with the upper triangle of P where it is wanted.
 
@@ -237,7 +237,7 @@ def record_row(tape: Recorder, s: F64, lay: I64, t: int, row: F64) -> None:
     at[FINE] = f
 
 
-@njit("void(f4[::1], f8[::1], f8[::1])", cache=True)
+@njit("void(f4[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def read_step(c: F32, f: F64, s: F64) -> None:
     """Lay a step's numbers into ``s`` where the transition looks for them."""
     s[LAT], s[HEIGHT] = c[C_LAT], c[C_HEIGHT]

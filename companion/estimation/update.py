@@ -46,7 +46,7 @@ WINSOR = 25.0
 """Cap on NIS in the likelihood of a heading hypothesis: one outlier must not decide."""
 
 
-@njit("f8(f8[:, ::1], f8[::1], i8, f8[:, ::1])", cache=True)
+@njit("f8(f8[:, ::1], f8[::1], i8, f8[:, ::1])", cache=True, counted=False)
 def normalised_square(S: F64, y: F64, m: int, L: F64) -> float:
     """yᵀ S⁻¹ y by Cholesky of the leading m×m of ``S``, factor in ``L``. −1: not definite."""
     total = 0.0
@@ -69,7 +69,7 @@ def normalised_square(S: F64, y: F64, m: int, L: F64) -> float:
     return total
 
 
-@njit("void(f8[:, ::1], f8[::1], i8)", cache=True)
+@njit("void(f8[:, ::1], f8[::1], i8)", cache=True, counted=False)
 def reset_covariance(P: F64, dx: F64, n: int) -> None:
     """P ← G P Gᵀ for the attitude error re-expressed about the corrected attitude.
 
@@ -99,6 +99,7 @@ def reset_covariance(P: F64, dx: F64, n: int) -> None:
     "b1(f8[::1], i8[::1], f8[::1], i8[::1], i8, i8, f8, f8[:, ::1], f8[::1], f8[::1], i8,"
     f"f8[:, ::1], f8[::1], {RECORDER})",
     cache=True,
+    counted=False,
 )
 def fuse(
     s: F64,
@@ -119,15 +120,12 @@ def fuse(
     """Gate ``m`` components (``H`` (3, n), ``y`` (3,), variances ``R`` (3,)) and apply them.
 
     ``barred`` is the verdict on a measurement that is not to be used whatever its innovation, 0 for
-    none. Fills ``report`` and returns whether the measurement was accepted. ``W`` (≥ 9, n) is
-    scratch, ``tape`` what a smoother reads later.
+    none. Fills ``report`` and returns whether the measurement was accepted. ``W`` (≥ 12, ≥ n) is
+    scratch, its fourth row the correction; ``tape`` is what a smoother reads later.
     """
     n = lay[L_N]
     P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
-    PHt, dx = W[:3], W[3]
-    S = np.zeros((3, 3))
-    L = np.zeros((4, 3))
-    foreseen = np.zeros(3)
+    PHt, dx, S, L, foreseen = W[:3], W[3], W[4:7], W[7:11], W[11]
     for i in range(m):
         for j in range(n):
             PHt[i, j] = 0.0

@@ -123,6 +123,9 @@ BRIDGE_ACCEL_VAR = 1.0
 BRIDGE_GYRO_VAR = 0.01
 """What a bridged gap may hide: (1 m/s²)² and (0.1 rad/s)², constant over the gap."""
 
+SPARE = 12
+"""Row of the scratch ``W`` from which on it is free while an aid is fused."""
+
 # channels, as types.Channel
 _POS_H, _POS_V, _VEL_H, _VEL_V, _BARO, _MAG, _COURSE, _ZUPT, _ZARU, _NHC = range(10)
 _RANGE, _RATE = 18, 21  # and the systems after GPS
@@ -132,6 +135,7 @@ _RANGE, _RATE = 18, 21  # and the systems after GPS
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[::1], i8, f8[:, ::1], f8[:, ::1],"
     f"f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
+    counted=False,
 )
 def fuse_gnss(
     s: F64,
@@ -155,8 +159,7 @@ def fuse_gnss(
     Horizontal and vertical pass their own gates: a wrong height must not cost the position.
     Returns the number of report rows after it.
     """
-    y = np.empty(3)
-    R = np.empty(3)
+    y, R = W[SPARE], W[SPARE + 1]
     n = lay[L_N]
     taken = False
     reception(s, z[A_SATELLITES], z[A_VAR])
@@ -201,7 +204,7 @@ def fuse_gnss(
                 H[0, j] = H[2, j]
         barred = 0.0
         if half < 2 and ipar[BANK] == 0:
-            barred = weigh(s, k, lay, par, ipar, half, y, R, t)
+            barred = weigh(s, k, lay, par, ipar, half, y, R, t, W[SPARE + 2])
         good = fuse(s, lay, par, ipar, half, source, barred, H, y, R, m, W, reports[count], tape)
         reports_t[count] = t
         count += 1
@@ -291,7 +294,7 @@ def fuse_ranges(
     return count
 
 
-@njit(f"void(f8[::1], i8[::1], i8[::1], i8[::1], i8, {RECORDER})", cache=True)
+@njit(f"void(f8[::1], i8[::1], i8[::1], i8[::1], i8, {RECORDER})", cache=True, counted=False)
 def end_epoch(s: F64, k: I64, lay: I64, ipar: I64, t: int, tape: Recorder) -> None:
     """What is due once all satellites of an epoch are in: it counts as a fix if most agree.
 
@@ -311,6 +314,7 @@ def end_epoch(s: F64, k: I64, lay: I64, ipar: I64, t: int, tape: Recorder) -> No
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[::1], i8, f8[:, ::1],"
     f"f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
+    counted=False,
 )
 def fuse_aid(
     s: F64,
@@ -341,8 +345,7 @@ def fuse_aid(
         return fuse_ranges(
             s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count, tape
         )
-    y = np.empty(3)
-    R = np.empty(3)
+    y, R = W[SPARE], W[SPARE + 1]
     R[0] = z[A_VAR]
     channel = _BARO
     if kind[0] == KIND_BARO:
@@ -363,6 +366,7 @@ def fuse_aid(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1],"
     f"i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
+    counted=False,
 )
 def fuse_constraints(
     s: F64,
@@ -380,8 +384,7 @@ def fuse_constraints(
     tape: Recorder,
 ) -> int:
     """Zero velocity and zero rate once a standing quarter, non-holonomic on its grid otherwise."""
-    y = np.empty(3)
-    R = np.empty(3)
+    y, R = W[SPARE], W[SPARE + 1]
     if k[STANDING] == 3 and ipar[ZERO_VELOCITY] == 1:
         for i in range(3):
             R[i] = par[ZUPT_VAR]
@@ -410,7 +413,7 @@ def fuse_constraints(
     return count
 
 
-@njit("b1(f8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
+@njit("b1(f8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> bool:
     """Fill an output row; in feedforward mode from INS ⊞ error (``total`` is scratch).
 
@@ -451,7 +454,11 @@ def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> bool
     return True
 
 
-@njit("void(f8[::1], i8[::1], b1, f8[::1], f8[::1], i8, i8, f8[::1], f8[:, ::1])", cache=True)
+@njit(
+    "void(f8[::1], i8[::1], b1, f8[::1], f8[::1], i8, i8, f8[::1], f8[:, ::1])",
+    cache=True,
+    counted=False,
+)
 def _step(
     s: F64, k: I64, scale: bool, par: F64, sample: F64, t: int, t_sample: int, at: F64, C: F64
 ) -> None:
@@ -476,7 +483,7 @@ def _step(
     k[T_NOW] = t
 
 
-@njit("b1(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1])", cache=True)
+@njit("b1(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1])", cache=True, counted=False)
 def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
     """Whether a decision above the kernel is due.
 
@@ -490,6 +497,135 @@ def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
     if k[REFUSED_SINCE] > 0 and k[T_NOW] - k[REFUSED_SINCE] > ipar[RELOCK_NS]:
         return True
     return bool(s[VELOCITY_FIT] > LOST_FIT)
+
+
+@njit(
+    "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[:, ::1], i8[::1], i8[:, ::1],"
+    "f8[:, ::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1],"
+    f"{RECORDER}, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1])",
+    cache=True,
+    counted=False,
+)
+def _walk(
+    s: F64,
+    k: I64,
+    lay: I64,
+    par: F64,
+    ipar: I64,
+    imu_t: I64,
+    imu: F64,
+    aid_t: I64,
+    aid_kind: I64,
+    aid: F64,
+    rows_t: I64,
+    rows: F64,
+    reports_t: I64,
+    reports: F64,
+    snaps: F64,
+    snaps_k: I64,
+    at: I64,
+    tape: Recorder,
+    C: F64,
+    B: F64,
+    W: F64,
+    H: F64,
+    total: F64,
+    mixed: F64,
+) -> int:
+    """As :func:`walk`, with scratch: C (3, 3), B (24, 3, 3), W (n + 9, STRIDE), H (3, n), total
+    (DX,), mixed (6,).
+    """
+    i, j, n_rows, n_reports = at[0], at[2], at[4], at[5]
+    code = DONE
+    scale = lay[L_ACCEL_SCALE] >= 0
+    taped = tape[0].shape[0] > 0
+    # Time only grows: a cell of a grid is left where its end is reached. Dividing to find the cell
+    # of every sample on every grid was a tenth of the walk.
+    check_ns = (k[T_IMU] // CHECK_NS + 1) * CHECK_NS
+    while i < at[1]:
+        t = imu_t[i]
+        sample = imu[i]
+        if t - k[T_IMU] > ipar[GAP_NS]:
+            code = STOP_GAP
+            break
+        if (
+            t >= check_ns
+            and k[T_CHECK] != k[T_IMU]
+            and (ipar[BANK] == 1 or doubtful(s, k, lay, par, ipar))
+        ):
+            code = STOP_CHECK
+            break
+        if t >= check_ns:
+            check_ns = (t // CHECK_NS + 1) * CHECK_NS
+        if k[HAVE_IMU] == 0:
+            for c in range(6):
+                s[LAST_GYRO + c] = sample[c]
+            k[HAVE_IMU] = 1
+        healthy = True
+        while j < at[3] and aid_t[j] <= t:
+            if aid[j, A_LET_GO] == 1.0:
+                s[SUM_XC] = 1.0
+            _step(s, k, scale, par, sample, aid_t[j], t, mixed, C)
+            if taped:
+                record_step(tape, s, lay, par)
+            healthy = propagate(s, lay, par, B, W) and healthy
+            n_reports = fuse_aid(
+                s, k, lay, par, ipar, aid_kind[j], aid[j], aid_t[j], C, H, W,
+                reports_t, reports, n_reports, tape,
+            )  # fmt: skip
+            j += 1
+            # Ranges are the last kind at their time.
+            if k[EPOCH_SEEN] > 0 and (j == at[3] or aid_t[j] != aid_t[j - 1]):
+                end_epoch(s, k, lay, ipar, aid_t[j - 1], tape)
+        _step(s, k, scale, par, sample, t, t, mixed, C)
+        for c in range(6):
+            s[LAST_GYRO + c] = sample[c]
+        if sample[SATURATION] > 0.0:
+            saturated(s, par, sample[SATURATION], (t - k[T_IMU]) * 1e-9)
+        k[T_IMU] = t
+        observe(
+            s,
+            k,
+            lay[L_N],
+            sample,
+            t,
+            ipar[STILL_NS],
+            par[STILL_GYRO],
+            par[STILL_ACCEL],
+            par[STILL_SPEED],
+        )
+        standing = k[STANDING] == 3 and ipar[ZERO_VELOCITY] == 1
+        due = ipar[CONSTRAINT_NS] > 0 and t >= (k[T_CONSTRAINT] + 1) * ipar[CONSTRAINT_NS]
+        if standing or due or t >= (k[T_COVARIANCE] + 1) * ipar[COVARIANCE_NS]:
+            k[T_COVARIANCE] = t // ipar[COVARIANCE_NS]
+            if taped:
+                record_step(tape, s, lay, par)
+            healthy = propagate(s, lay, par, B, W) and healthy
+            if (standing or due) and healthy:
+                n_reports = fuse_constraints(
+                    s, k, lay, par, ipar, t, C, H, W, reports_t, reports, n_reports, tape
+                )
+        i += 1
+        if healthy and t >= (k[T_OUTPUT] + 1) * ipar[OUTPUT_NS]:
+            k[T_OUTPUT] = t // ipar[OUTPUT_NS]
+            rows_t[n_rows] = t
+            healthy = write_row(s, k, lay, ipar, total, rows[n_rows])
+            if healthy:
+                record_row(tape, s, lay, t, rows[n_rows])
+                n_rows += 1
+        if not healthy:
+            code = STOP_BROKEN
+            break
+        if t >= (k[T_SNAPSHOT] + 1) * ipar[SNAPSHOT_NS]:
+            cell = t // ipar[SNAPSHOT_NS]
+            k[T_SNAPSHOT] = cell
+            slot = cell % snaps.shape[0]
+            for c in range(s.shape[0]):
+                snaps[slot, c] = s[c]
+            for c in range(k.shape[0]):
+                snaps_k[slot, c] = k[c]
+    at[0], at[2], at[4], at[5] = i, j, n_rows, n_reports
+    return code
 
 
 @njit(
@@ -535,91 +671,7 @@ def walk(
     H = np.zeros((3, n))
     total = np.empty(DX)
     mixed = np.empty(6)
-    i, j, n_rows, n_reports = at[0], at[2], at[4], at[5]
-    code = DONE
-    scale = lay[L_ACCEL_SCALE] >= 0
-    # Time only grows: a cell of a grid is left where its end is reached. Dividing to find the cell
-    # of every sample on every grid was a tenth of the walk.
-    check_ns = (k[T_IMU] // CHECK_NS + 1) * CHECK_NS
-    while i < at[1]:
-        t = imu_t[i]
-        sample = imu[i]
-        if t - k[T_IMU] > ipar[GAP_NS]:
-            code = STOP_GAP
-            break
-        if (
-            t >= check_ns
-            and k[T_CHECK] != k[T_IMU]
-            and (ipar[BANK] == 1 or doubtful(s, k, lay, par, ipar))
-        ):
-            code = STOP_CHECK
-            break
-        if t >= check_ns:
-            check_ns = (t // CHECK_NS + 1) * CHECK_NS
-        if k[HAVE_IMU] == 0:
-            for c in range(6):
-                s[LAST_GYRO + c] = sample[c]
-            k[HAVE_IMU] = 1
-        healthy = True
-        while j < at[3] and aid_t[j] <= t:
-            if aid[j, A_LET_GO] == 1.0:
-                s[SUM_XC] = 1.0
-            _step(s, k, scale, par, sample, aid_t[j], t, mixed, C)
-            record_step(tape, s, lay, par)
-            healthy = propagate(s, lay, par, B, W) and healthy
-            n_reports = fuse_aid(
-                s, k, lay, par, ipar, aid_kind[j], aid[j], aid_t[j], C, H, W,
-                reports_t, reports, n_reports, tape,
-            )  # fmt: skip
-            j += 1
-            # Ranges are the last kind at their time.
-            if k[EPOCH_SEEN] > 0 and (j == at[3] or aid_t[j] != aid_t[j - 1]):
-                end_epoch(s, k, lay, ipar, aid_t[j - 1], tape)
-        _step(s, k, scale, par, sample, t, t, mixed, C)
-        for c in range(6):
-            s[LAST_GYRO + c] = sample[c]
-        if sample[SATURATION] > 0.0:
-            saturated(s, par, sample[SATURATION], (t - k[T_IMU]) * 1e-9)
-        k[T_IMU] = t
-        observe(
-            s,
-            k,
-            lay[L_N],
-            sample,
-            t,
-            ipar[STILL_NS],
-            par[STILL_GYRO],
-            par[STILL_ACCEL],
-            par[STILL_SPEED],
-        )
-        standing = k[STANDING] == 3 and ipar[ZERO_VELOCITY] == 1
-        due = ipar[CONSTRAINT_NS] > 0 and t >= (k[T_CONSTRAINT] + 1) * ipar[CONSTRAINT_NS]
-        if standing or due or t >= (k[T_COVARIANCE] + 1) * ipar[COVARIANCE_NS]:
-            k[T_COVARIANCE] = t // ipar[COVARIANCE_NS]
-            record_step(tape, s, lay, par)
-            healthy = propagate(s, lay, par, B, W) and healthy
-            if (standing or due) and healthy:
-                n_reports = fuse_constraints(
-                    s, k, lay, par, ipar, t, C, H, W, reports_t, reports, n_reports, tape
-                )
-        i += 1
-        if healthy and t >= (k[T_OUTPUT] + 1) * ipar[OUTPUT_NS]:
-            k[T_OUTPUT] = t // ipar[OUTPUT_NS]
-            rows_t[n_rows] = t
-            healthy = write_row(s, k, lay, ipar, total, rows[n_rows])
-            if healthy:
-                record_row(tape, s, lay, t, rows[n_rows])
-                n_rows += 1
-        if not healthy:
-            code = STOP_BROKEN
-            break
-        if t >= (k[T_SNAPSHOT] + 1) * ipar[SNAPSHOT_NS]:
-            cell = t // ipar[SNAPSHOT_NS]
-            k[T_SNAPSHOT] = cell
-            slot = cell % snaps.shape[0]
-            for c in range(s.shape[0]):
-                snaps[slot, c] = s[c]
-            for c in range(k.shape[0]):
-                snaps_k[slot, c] = k[c]
-    at[0], at[2], at[4], at[5] = i, j, n_rows, n_reports
-    return code
+    return _walk(
+        s, k, lay, par, ipar, imu_t, imu, aid_t, aid_kind, aid, rows_t, rows, reports_t, reports,
+        snaps, snaps_k, at, tape, C, B, W, H, total, mixed,
+    )  # fmt: skip

@@ -26,7 +26,7 @@ def pressure_height(pressure: F64) -> F64:
     return np.asarray(T0 / LAPSE * (1.0 - ratio**EXPONENT))
 
 
-@njit("void(f8[::1], i8[::1], f8, f8[:, ::1], f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], f8, f8[:, ::1], f8[::1])", cache=True, counted=False)
 def height(s: F64, lay: I64, z: float, H: F64, y: F64) -> None:
     """Fill ``y[0]`` [m] and row 0 of ``H`` for pressure height ``z`` [m]."""
     for j in range(lay[L_N]):

@@ -32,7 +32,7 @@ from companion.navigation.layout import (
 from companion.types import F64, I64
 
 
-@njit("void(f8[::1], i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])", cache=True, counted=False)
 def position(s: F64, lay: I64, C: F64, z: F64, H: F64, y: F64) -> None:
     """Fill innovation ``y`` (3,) [m, NED] and Jacobian ``H`` (3, n) of antenna position ``z``.
 
@@ -67,7 +67,7 @@ def position(s: F64, lay: I64, C: F64, z: F64, H: F64, y: F64) -> None:
     H[2, ATT], H[2, ATT + 1] = v, -x
 
 
-@njit("void(f8[::1], i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])", cache=True, counted=False)
 def velocity(s: F64, lay: I64, C: F64, z: F64, H: F64, y: F64) -> None:
     """Fill innovation ``y`` (3,) [m/s, NED] and ``H`` (3, n) of antenna velocity ``z`` (3,) NED."""
     n = lay[L_N]

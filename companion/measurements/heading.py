@@ -15,7 +15,7 @@ from companion.navigation.layout import ATT, L_N
 from companion.types import F64, I64
 
 
-@njit("b1(i8[::1], f8[:, ::1], f8, f8, f8, f8, f8[:, ::1], f8[::1])", cache=True)
+@njit("b1(i8[::1], f8[:, ::1], f8, f8, f8, f8, f8[:, ::1], f8[::1])", cache=True, counted=False)
 def direction(
     lay: I64, C: F64, bx: float, by: float, bz: float, azimuth: float, H: F64, y: F64
 ) -> bool:

@@ -21,7 +21,9 @@ from companion.navigation.layout import (
 from companion.types import F64, I64
 
 
-@njit("void(f8[::1], i8[::1], f8[:, ::1], f8, f8, f8, f8[:, ::1], f8[::1])", cache=True)
+@njit(
+    "void(f8[::1], i8[::1], f8[:, ::1], f8, f8, f8, f8[:, ::1], f8[::1])", cache=True, counted=False
+)
 def sideways(s: F64, lay: I64, C: F64, lx: float, ly: float, lz: float, H: F64, y: F64) -> None:
     """Fill ``y[:2]`` [m/s] (right, down) and rows 0, 1 of ``H``; lever (lx, ly, lz) IMU to axle."""
     vn, ve, vd = s[VEL_N], s[VEL_N + 1], s[VEL_N + 2]

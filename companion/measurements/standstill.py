@@ -99,7 +99,7 @@ def _at_anchor(s: F64, tolerance: float, fresh: bool) -> bool:
     return True
 
 
-@njit("b1(f8[::1], i8, f8)", cache=True)
+@njit("b1(f8[::1], i8, f8)", cache=True, counted=False)
 def _moves_vertically(s: F64, n: int, accel: float) -> bool:
     """Whether the filter knows of a climb, or the window's mean force is not gravity's amount."""
     diagonal = n + 1
@@ -117,7 +117,7 @@ def _moves_vertically(s: F64, n: int, accel: float) -> bool:
     return abs(off) > accel + 3.0 * math.sqrt(variance)
 
 
-@njit("i8(f8[::1], i8[::1], i8, i8, f8, f8, f8)", cache=True)
+@njit("i8(f8[::1], i8[::1], i8, i8, f8, f8, f8)", cache=True, counted=False)
 def _decide(s: F64, k: I64, n: int, t: int, gyro: float, accel: float, speed: float) -> int:
     if k[STILL_COUNT] < STILL_SUB:
         return 0
@@ -158,7 +158,7 @@ def _decide(s: F64, k: I64, n: int, t: int, gyro: float, accel: float, speed: fl
     return 1
 
 
-@njit("void(f8[::1], i8[::1], i8, f8[:], i8, i8, f8, f8, f8)", cache=True)
+@njit("void(f8[::1], i8[::1], i8, f8[:], i8, i8, f8, f8, f8)", cache=True, counted=False)
 def observe(
     s: F64,
     k: I64,
@@ -206,7 +206,7 @@ def observe(
         s[STILL_SUM + 7 + i] += x * x
 
 
-@njit("void(f8[::1], i8[::1], f8[:, ::1], f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], f8[:, ::1], f8[::1])", cache=True, counted=False)
 def zero_velocity(s: F64, lay: I64, H: F64, y: F64) -> None:
     """Fill ``y`` (3,) [m/s] and ``H`` (3, n): v_n = 0."""
     for i in range(3):
@@ -216,7 +216,7 @@ def zero_velocity(s: F64, lay: I64, H: F64, y: F64) -> None:
         y[i] = -s[VEL_N + i]
 
 
-@njit("void(f8[::1], i8[::1], i8[::1], f8[:, ::1], f8[:, ::1], f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], i8[::1], f8[:, ::1], f8[:, ::1], f8[::1])", cache=True, counted=False)
 def zero_rate(s: F64, k: I64, lay: I64, C: F64, H: F64, y: F64) -> None:
     """The last quarter's mean rate is bias plus Earth rate: ``y`` (3,) [rad/s] and ``H`` (3, n)."""
     slot = STILL_RING + 12 * ((k[STILL_COUNT] - 1) % STILL_SUB)

@@ -58,7 +58,7 @@ COLUMNS = 8
 """Block (r, c) of Φ is ``B[COLUMNS * r + c]``; columns p, v, φ, b_a, b_g, s_a, s_g, none."""
 
 
-@njit("void(f8[::1], i8[::1], f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], f8[::1])", cache=True, counted=False)
 def box_plus(s: F64, lay: I64, dx: F64) -> None:
     """Move the error ``dx`` (n,) into the nominal state in place: x ⊞ δx."""
     m, n = radii(s[LAT])
@@ -86,7 +86,7 @@ def box_plus(s: F64, lay: I64, dx: F64) -> None:
             s[CLOCK + i] += dx[lay[L_CLOCK] + i]
 
 
-@njit("void(f8[::1], f8[:, :, ::1])", cache=True)
+@njit("void(f8[::1], f8[:, :, ::1])", cache=True, counted=False)
 def core_blocks(s: F64, B: F64) -> None:
     """Fill the blocks of ``B`` (24, 3, 3) that every layout has."""
     T = s[SUM_T]
@@ -162,7 +162,7 @@ def core_blocks(s: F64, B: F64) -> None:
             B[4, i, j] = B[12, i, j] * T / 3.0
 
 
-@njit("void(f8[::1], f8[:, :, ::1])", cache=True)
+@njit("void(f8[::1], f8[:, :, ::1])", cache=True, counted=False)
 def scale_blocks(s: F64, B: F64) -> None:
     """Fill the blocks of ``B`` (24, 3, 3) in the columns of scale factors."""
     T = s[SUM_T]
@@ -181,7 +181,7 @@ def scale_blocks(s: F64, B: F64) -> None:
             B[6, i, j] = B[14, i, j] * T / 3.0
 
 
-@njit("void(f8[::1], f8[:, :, ::1])", cache=True)
+@njit("void(f8[::1], f8[:, :, ::1])", cache=True, counted=False)
 def transition_blocks(s: F64, B: F64) -> None:
     """Fill ``B`` (24, 3, 3) with the rows p, v, φ of Φ, see :data:`COLUMNS`.
 

@@ -37,7 +37,7 @@ from companion.navigation.rotation import quat_to_matrix, rotate_body, rotate_na
 from companion.types import F64
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], f8, b1, b1, f8[:, ::1])", cache=True)
+@njit("void(f8[::1], f8[::1], f8[::1], f8, b1, b1, f8[:, ::1])", cache=True, counted=False)
 def advance(s: F64, first: F64, last: F64, dt: float, integral: bool, scale: bool, C: F64) -> None:
     """Move the nominal state in ``s`` on by one inertial interval and add to the interval sums.
 
