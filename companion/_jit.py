@@ -37,7 +37,7 @@ class Kernel(Generic[Given, Result]):
     ) -> None:
         update_wrapper(self, function)
         self._function, self._signature, self._cached = function, signature, cached
-        self._options: dict[str, Any] = {} if counted else {"_nrt": False}
+        self._counted = counted
         self._machine: Any = None
 
     @property
@@ -48,7 +48,8 @@ class Kernel(Generic[Given, Result]):
     @cached_property
     def kernel_key(self) -> str:
         """Hash of all that its machine code is made of."""
-        return _kernel_cache.key(self._function, f"{self._signature} {self._options}")
+        how = self._signature if self._counted else f"{self._signature} uncounted"
+        return _kernel_cache.key(self._function, how)
 
     @property
     def ready(self) -> bool:
@@ -64,7 +65,8 @@ class Kernel(Generic[Given, Result]):
             with _without_blas():
                 import numba
 
-                machine: Any = numba.njit(**self._options)(self._function)
+                # Said in either case: numba hands it down to what it has to compile meanwhile.
+                machine: Any = numba.njit(_nrt=self._counted)(self._function)
                 if self._cached:
                     machine._cache = _kept(self)
                 machine.compile(self._signature)
