@@ -66,7 +66,8 @@ class Kernel(Generic[Given, Result]):
                 import numba
 
                 # Said in either case: numba hands it down to what it has to compile meanwhile.
-                machine: Any = numba.njit(_nrt=self._counted)(self._function)
+                how: dict[str, Any] = {"_nrt": self._counted}
+                machine: Any = numba.njit(**how)(self._function)
                 if self._cached:
                     machine._cache = _kept(self)
                 machine.compile(self._signature)
