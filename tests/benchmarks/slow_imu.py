@@ -3,8 +3,10 @@
     python -m tests.benchmarks.slow_imu [DATA]
 
 Every stream of a log at 4 Hz, as a ground station has it; then all of them silent for 5 s, twice a
-minute. The filter has the inertial samples, fixes, pressure and ATTITUDE of the telemetry; it is
-compared with GLOBAL_POSITION_INT of the same telemetry, held, or carried on with its velocity.
+minute. Outages of a flight's own GNSS, 10 to 60 s in the SITL flights, are judged apart: there the
+autopilot has its IMU at full rate, and on the plane an airspeed. The filter has the inertial
+samples, fixes, pressure and ATTITUDE of the telemetry; it is compared with GLOBAL_POSITION_INT of
+the same telemetry, held, or carried on with its velocity.
 """
 
 from __future__ import annotations
@@ -34,6 +36,9 @@ RATE_HZ = 4.0
 EVERY_S, GAP_S = 30.0, 5.0
 SETTLED_S = 20.0
 """From the start on: neither solution is judged before."""
+OUTAGE_S, BACK_S = 8.0, 15.0
+"""Longer without a fix is an outage of the flight's own GNSS, no gap of the telemetry; it is judged
+apart, and as long behind it as it takes to return."""
 
 Keep = Callable[[I64], NDArray[np.bool_]]
 
@@ -77,6 +82,18 @@ def windows(t_ns: I64, start_ns: int) -> NDArray[np.bool_]:
     return inside
 
 
+def without_gnss(t_ns: I64, vehicle: VehicleRecording) -> NDArray[np.bool_]:
+    """(N,) where the flight itself had no fix, or had it back for less than 15 s."""
+    fix = vehicle.gnss[0]
+    valid = fix.t_ns[np.isfinite(fix.lat) & (fix.fix_type >= 3)]
+    ends = np.flatnonzero(np.diff(valid) > round(OUTAGE_S * NS))
+    found = np.zeros(len(t_ns), np.bool_)
+    for end in ends:
+        back = valid[end + 1] + round(BACK_S * NS)
+        found |= (t_ns > valid[end] + NS) & (t_ns < back)
+    return found
+
+
 def of_solution(solution: Solution) -> Way:
     """The published epochs."""
     return Way(solution.t_ns, solution.lat, solution.lon)
@@ -113,6 +130,7 @@ def examine(path: Path, *, gaps: bool) -> list[str]:
     assert vehicle.truth is not None
     assert vehicle.autopilot is not None
     start = int(vehicle.imu[0].t_ns[0])
+    flown = vehicle
     if gaps:
         vehicle = kept(vehicle, lambda t: ~windows(t, start))
     chosen = choose_config(replace(recording, vehicles=(vehicle,)))
@@ -132,13 +150,16 @@ def examine(path: Path, *, gaps: bool) -> list[str]:
         judged = t > start + round(SETTLED_S * NS)
         if gaps:
             judged &= windows(t, start)
-        error = error[judged]
-        rms = float(np.sqrt(np.mean(error**2)))
-        rows.append(
-            f"{path.parent.name}/{path.stem:18} {'5 s gaps' if gaps else 'no gaps':9} {name:14} "
-            f"{len(error):6} {rms:8.2f} {np.percentile(error, 95):8.2f} {error.max():8.2f}"
-        )
-    return rows
+        off = without_gnss(t, flown)
+        for which, inside in (("5 s gaps" if gaps else "no gaps", ~off), ("GNSS off", off)):
+            some = error[judged & inside]
+            if len(some):
+                rms = float(np.sqrt(np.mean(some**2)))
+                rows.append(
+                    f"{path.parent.name}/{path.stem:18} {which:9} {name:14} "
+                    f"{len(some):6} {rms:8.2f} {np.percentile(some, 95):8.2f} {some.max():8.2f}"
+                )
+    return rows if not gaps else [row for row in rows if "GNSS off" not in row]
 
 
 def main(data: Path) -> None:

@@ -30,7 +30,7 @@ def test_mechanisms_keep_transitions_out_of_velocity_and_acceleration() -> None:
     with_, without = [], []
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
-        start, sensors = rng.standard_normal(15), measure(track, rng)
+        start, sensors = rng.standard_normal(12), measure(track, rng)
         with_.append(fly(track, sensors, start, JERK, True))
         without.append(fly(track, sensors, start, JERK, False))
     # Four steps of Table I, and the begin of the turn is a step on both axes.

@@ -4,8 +4,11 @@ A step of raw specific force of the first IMU from one sample to the next beyond
 and 41; magnitudes, though the paper prints none) is a change of motion that the trajectory model
 does not foresee: the acceleration on that axis is forgotten, P_aa ← P_aa + σ² u uᵀ, and the
 accelerometer's own update, which follows, sets it to (f − b)/(1 + s) − gravity (eq. 42) with the
-uncertainty that this has. While turning, acceleration goes round with the vehicle: at every sample
-it is forgotten a little on both axes, and to the right measured as turn rate times speed (eq. 44).
+uncertainty that this has. A lateral step Δa at speed v is a step Δa/v of the turn rate, too, which
+the paper does not say: the rate is forgotten by as much, or the gyros' next samples would be
+refused as outliers, and the turn lost meanwhile would stay in the heading. While turning,
+acceleration goes round with the vehicle: at every sample it is forgotten a little on both axes, and
+to the right measured as turn rate times speed (eq. 44).
 """
 
 from __future__ import annotations
@@ -22,11 +25,15 @@ from companion.estimation.direct.layout import (
     L_P,
     LAST_FORCE_X,
     LAST_FORCE_Y,
+    RATE,
+    VEL_N,
 )
 from companion.estimation.direct.parameters import CIRCLE_VAR, SWITCH_SIGMAS, SWITCH_VAR
 from companion.estimation.direct.update import apply
 from companion.types import F64, I64
 
+SLOWEST = 1.0
+"""Forward speed [m/s] above which a lateral step is taken for the beginning or end of a turn."""
 NO_SWITCH, LINEAR, CIRCULAR_BEGINS, CIRCULAR_ENDS = 0, 1, 2, 3
 
 
@@ -38,6 +45,17 @@ def _forget(s: F64, lay: I64, var: float, C: F64, axis: int) -> None:
     for i in range(3):
         for j in range(3):
             P[ACC + i, ACC + j] += var * (C[i, axis] * C[j, axis])
+
+
+@njit("void(f8[::1], i8[::1], f8, f8[:, ::1])", cache=True)
+def _forget_rate(s: F64, lay: I64, step: float, C: F64) -> None:
+    """A step of lateral acceleration [m/s²] at a speed is one of the turn rate: add its square."""
+    forward = 0.0
+    for i in range(3):
+        forward += C[i, 0] * s[VEL_N + i]
+    if abs(forward) > SLOWEST:
+        n = lay[L_N]
+        s[lay[L_P] + (RATE + 2) * n + RATE + 2] += (step / forward) ** 2
 
 
 @njit("i8(f8[::1], i8[::1], i8[::1], f8[::1], f8, f8, f8, f8[:, ::1])", cache=True)
@@ -54,6 +72,7 @@ def switch(s: F64, k: I64, lay: I64, par: F64, fx: float, fy: float, var: float,
             found = LINEAR
         if abs(fy - s[LAST_FORCE_Y]) > limit:
             _forget(s, lay, par[SWITCH_VAR], C, 1)
+            _forget_rate(s, lay, fy - s[LAST_FORCE_Y], C)
             # A step back to nothing ends the turn; anything else begins or sharpens one.
             found = CIRCULAR_BEGINS if abs(fy) > abs(s[LAST_FORCE_Y]) else CIRCULAR_ENDS
             k[CIRCULAR] = found == CIRCULAR_BEGINS

@@ -106,6 +106,8 @@ PERSISTENT = 3
 """Refused samples of a unit in a row after which it is believed, unless another unit disagrees."""
 AGREED_NS = 200_000_000
 """How long an accepted sample of one unit speaks against a refused one of another."""
+MISSED_S = 1.0
+"""Longest turn that attitude makes up for once its rate is believed."""
 SURPRISE = 4.0
 """A persistent surprise is a motion beyond the model: its square, times this, is what the model
 allows for once."""
@@ -133,15 +135,22 @@ def _contradicted(k: I64, lay: I64, unit: int, t: int) -> bool:
     return False
 
 
-@njit("void(f8[::1], i8[::1], i8, f8[::1])", cache=True)
-def _allow(s: F64, lay: I64, half: int, y: F64) -> None:
-    """Widen rate (``half`` 0) or acceleration by the size of a surprise ``y`` (3,)."""
+@njit("void(f8[::1], i8[::1], i8, f8[::1], f8)", cache=True)
+def _allow(s: F64, lay: I64, half: int, y: F64, since: float) -> None:
+    """Widen rate (``half`` 0) or acceleration by the size of a surprise ``y`` (3,).
+
+    ``since`` [s]: what was refused so long was a turn, which attitude has to make up for.
+    """
     n = lay[L_N]
     P = s[lay[L_P] : lay[L_P] + n * n].reshape((n, n))
     var = SURPRISE * (y[0] * y[0] + y[1] * y[1] + y[2] * y[2])
     first = RATE if half == 0 else ACC
     for i in range(3):
         P[first + i, first + i] += var
+        if half == 0:
+            P[ATT + i, ATT + i] += var * since * since
+            P[ATT + i, RATE + i] += var * since
+            P[RATE + i, ATT + i] += var * since
 
 
 @njit(
@@ -197,7 +206,8 @@ def fuse_unit(
         ok = fuse(s, lay, par, ipar, channel, unit, H, cols, nc, y, R, 3, W, reports[count])
         if not ok and k[at + 2] >= PERSISTENT and not _contradicted(k, lay, unit, t):
             # No noise lasts that long: the vehicle does what the model did not foresee.
-            _allow(s, lay, half, y)
+            since = min((t - k[at + 1]) * 1e-9, MISSED_S)
+            _allow(s, lay, half, y, since)
             ok = fuse(s, lay, par, ipar, channel, unit, H, cols, nc, y, R, 3, W, reports[count])
         good = good and ok
         if not (ok and told):

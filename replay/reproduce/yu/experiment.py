@@ -81,7 +81,7 @@ def _runs(track: Track, seeds: int, jerk: float) -> Pair:
     found: Pair = ([], [])
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
-        start = rng.standard_normal(15)
+        start = rng.standard_normal(12)
         sensors = measure(track, rng)
         for runs, transitions in zip(found, (True, False), strict=True):
             runs.append(fly(track, sensors, start, jerk, transitions))

@@ -32,9 +32,9 @@ from replay.reproduce.yu import track as tr
 
 EVERY = 10
 """IMU samples between two looks at the state: 0.1 s."""
-START_SD = (5.0, 5.0, 8.0), 0.1, 0.1, 0.3 * DEG, 0.1 * DEG
-"""Position [m], velocity, acceleration, attitude and rate at the start, 1σ: at rest and aligned, of
-which the paper says nothing."""
+START_SD = 0.1, 0.1, 0.3 * DEG, 0.1 * DEG
+"""Velocity, acceleration, attitude and rate at the start, 1σ: at rest and aligned, of which the
+paper says nothing. The position is that of a first fix, with its deviation."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,10 @@ def configuration(jerk: float, transitions: bool) -> Config:
 
 
 def fly(track: tr.Track, sensors: tr.Sensors, start: F64, jerk: float, transitions: bool) -> Errors:
-    """Filter one run; ``start`` (15,) are the standard normal errors of the first state."""
+    """Filter one run; ``start`` (12,) are the standard normal errors of the first state
+    behind its position."""
     setup = Setup(configuration(jerk, transitions))
-    s, k = _begin(setup, start)
+    s, k = _begin(setup, sensors.first_fix, start)
     count = len(track.t)
     t: I64 = NS + np.arange(1, count + 1, dtype=np.int64) * (NS // tr.RATE_HZ)
     aid_t, kinds, rows = _aids(setup, sensors, t)
@@ -124,21 +125,23 @@ def fly(track: tr.Track, sensors: tr.Sensors, start: F64, jerk: float, transitio
     )
 
 
-def _begin(setup: Setup, start: F64) -> tuple[F64, I64]:
-    """State and clock at rest at the start of the track, off by what the deviations allow."""
+def _begin(setup: Setup, first_fix: F64, start: F64) -> tuple[F64, I64]:
+    """State and clock at rest on the first fix, off by what the deviations allow."""
     lay = setup.layout
     s, k = np.zeros(lay.size), np.zeros(lay.int_size, np.int64)
     s[:4] = quat_from_rpy(0.0, 0.0, 0.0)
     s[lo.LAT : lo.LAT + 3] = tr.PLACE
     s[lo.ACC_N] = tr.STEPS[0][1]
     var = par.initial_variances(setup.config, lay)
-    var[:3] = np.square(START_SD[0])
-    for block, sd in zip((lo.VEL, lo.ACC, lo.ATT, lo.RATE), START_SD[1:], strict=True):
+    gnss = setup.config.gnss
+    var[:3] = np.square([gnss.sd_position_m, gnss.sd_position_m, gnss.sd_height_m])
+    for block, sd in zip((lo.VEL, lo.ACC, lo.ATT, lo.RATE), START_SD, strict=True):
         var[block : block + 3] = sd**2
     P = setup.covariance(s)
     P[np.diag_indices(lay.n)] = var
     off = np.zeros(lay.n)
-    off[:15] = start * np.sqrt(var[:15])
+    off[:3] = first_fix
+    off[3:15] = start * np.sqrt(var[3:15])
     box_plus(s, setup.lay, off)
     k[lo.T_NOW] = k[lo.T_IMU] = NS
     k[lo.T_POSITION_AID] = NS

@@ -97,6 +97,8 @@ class Sensors:
     """(3, N, 7) rate, specific force, 0: as the filter takes them."""
     fixes: F64
     """(60, 3) antenna position, NED metres from :data:`PLACE`; at full seconds."""
+    first_fix: F64
+    """(3,) the fix at the start, at rest."""
 
 
 def measure(track: Track, rng: np.random.Generator) -> Sensors:
@@ -125,8 +127,9 @@ def measure(track: Track, rng: np.random.Generator) -> Sensors:
     at = np.arange(RATE_HZ - 1, count, RATE_HZ)
     fade = math.exp(-1.0 / GPS_SLOW_TAU_S)
     slow = rng.standard_normal(3) * GPS_SLOW
+    first = slow + rng.standard_normal(3) * GPS_WHITE
     fixes = np.empty((len(at), 3))
     for i, row in enumerate(at):
         slow = fade * slow + math.sqrt(1.0 - fade * fade) * rng.standard_normal(3) * GPS_SLOW
         fixes[i] = track.position_n[row] + slow + rng.standard_normal(3) * GPS_WHITE
-    return Sensors(imu, fixes)
+    return Sensors(imu, fixes, first)
