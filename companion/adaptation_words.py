@@ -23,7 +23,7 @@ def told(rule: int, to_model: float, to_source: float) -> str:
     if mean == "ZERO":
         return text
     if to_model > MOST:
-        return f"{text}: taken for the inertial unit's error"
+        return f"{text}: most of it taken for the inertial unit's error"
     if to_source > MOST:
-        return f"{text}: taken for a fault of the source, nothing is scaled for it"
+        return f"{text}: most of it taken for a fault of the source, which scales nothing"
     return text

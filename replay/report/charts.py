@@ -87,6 +87,9 @@ class Table:
 
 def spoken(channel: Channel) -> str:
     """The channel's name for people: ``GNSS velocity``, ``GNSS vertical velocity``, ``baro``."""
+    if channel in (Channel.SOURCE_H, Channel.SOURCE_V):
+        what = "position" if channel is Channel.SOURCE_H else "height"
+        return f"GNSS {what} against its own velocity"
     words = channel.name.split("_")
     if words[-1] == "V":
         words.insert(1, "vertical")

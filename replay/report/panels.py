@@ -132,7 +132,10 @@ def _attitude(run: RunView) -> Panel | None:
 
         tables = _values(run, angle, sd, referred)
         if tables:
-            charts.append(Chart(name.capitalize(), "°", tuple(tables)))
+            # A heading that nobody knows has a band of more than a turn, which says no more.
+            wide = run.aligned()
+            limit = 200.0 if len(wide) and np.nanmax(sd(wide)) > 100.0 else None
+            charts.append(Chart(name.capitalize(), "°", tuple(tables), limit))
     return Panel("attitude", "Attitude", "", tuple(charts))
 
 
@@ -179,6 +182,8 @@ _UNITS: dict[Channel, tuple[str, Sequence[str]]] = {
     Channel.GNSS_VELOCITY_H: ("m/s", ("north", "east")),
     Channel.GNSS_VELOCITY_V: ("m/s", ("down",)),
     Channel.BARO: ("m", ("height",)),
+    Channel.SOURCE_H: ("m", ("north", "east")),
+    Channel.SOURCE_V: ("m", ("down",)),
 }
 
 

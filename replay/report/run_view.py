@@ -26,6 +26,8 @@ from replay.window import Window
 
 STOPPED = (Verdict.REJECTED_GATE, Verdict.REJECTED_SOURCE, Verdict.REJECTED_UNCONFIRMED)
 """Verdicts on measurements that were compared with the solution and not used."""
+FINAL_NS = 5 * NS
+"""A receiver without a fix for this long at the end did not just stop with the log."""
 FAULT_GAP_NS = 3 * NS
 """Times at which a source is not used, closer than this, are one."""
 
@@ -71,15 +73,34 @@ class RunView:
         return found[0] if found else None
 
     def outages(self) -> tuple[Outage, ...]:
-        """Times without GNSS after the solution began."""
+        """Times without GNSS after the solution began, the one that it ended in among them."""
         if not len(self.solution):
             return ()
-        first = self.solution.t_ns[0]
-        return tuple(
+        first, last = self.solution.t_ns[0], int(self.solution.t_ns[-1])
+        found = [
             o
             for o in outages_of(self.vehicle, self.config, self.withheld)
-            if o.end_ns > first and o.start_ns < self.solution.t_ns[-1]
-        )
+            if o.end_ns > first and o.start_ns < last
+        ]
+        final = self._final_fix_ns()
+        if (
+            final is not None
+            and last - final > FINAL_NS
+            and not any(o.end_ns > final for o in found)
+        ):
+            found.append(Outage(final, last))
+        return tuple(found)
+
+    def _final_fix_ns(self) -> int | None:
+        """When the last usable fix of the receivers that may be used was valid."""
+        chosen = self.config.gnss.source
+        fixed = [
+            g.t_ns[g.fix_type >= self.config.gnss.min_fix_type]
+            for g in self.vehicle.gnss
+            if chosen in ("auto", g.source)
+        ]
+        times = [int(t.max()) for t in fixed if len(t)]
+        return max(times) - round(self.config.gnss.latency_ms * 1e6) if times else None
 
     def aligned(self) -> Solution:
         """The published epochs that are a solution, in order of time."""

@@ -11,13 +11,26 @@ from typing import Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from companion.types import COV_POS, F64, NS, Channel, Mode, Solution, Verdict
-from replay.evaluation import errors_against
+from companion.types import (
+    COV_POS,
+    F64,
+    I64,
+    NS,
+    Channel,
+    GnssSamples,
+    Mode,
+    ReferenceSamples,
+    Solution,
+    Verdict,
+)
+from replay.evaluation import as_solution, errors_against
 from replay.report.charts import spoken
 from replay.report.run_view import RunView
 
 Level = Literal["good", "degraded", "bad"]
+Known = NDArray[np.bool_]
 _RANK: dict[Level, int] = {"good": 0, "degraded": 1, "bad": 2}
 
 SD_DEGRADED_M, SD_BAD_M = 5.0, 30.0
@@ -31,10 +44,16 @@ BEYOND_DEGRADED, BEYOND_BAD = 0.05, 0.25
 SLOW_ERROR_M = 1.5
 """What an ordinary receiver is off by for minutes: no filter sees it, and no error against truth
 of this size speaks against one. Receivers with an RTK fix do without."""
+APART_M = 15.0
+"""Distance of two solutions of the same sensors from which on one of them is wrong."""
+HEADING_OFF = np.radians(20.0)
+"""A heading that is off by this much for half of the time was not found."""
 UNAIDED_DEGRADED = 0.02
 """Share of the time without position or velocity aiding."""
 FAULTY_BAD = 0.3
 """Share of the time for which a receiver was held for faulty."""
+CONSTRAINTS = (Channel.ZERO_VELOCITY, Channel.ZERO_RATE, Channel.NON_HOLONOMIC)
+"""What is assumed of the motion, and refused where the vehicle moves otherwise: no fault."""
 MINIMUM_UPDATES = 30
 """Fewer updates of a channel than this say nothing about it."""
 
@@ -78,8 +97,8 @@ def _evidence(run: RunView) -> Iterator[Evidence]:
         )
         return
     yield from _against_reference(run, aligned)
-    yield from _stated(aligned)
     yield from _modes(run, aligned)
+    yield from _stated(run, aligned)
     yield from _gates(run)
     yield from _sources(run, aligned)
     yield from _declared(run)
@@ -101,33 +120,93 @@ def _against_reference(run: RunView, aligned: Solution) -> Iterator[Evidence]:
     errors = errors_against(aligned, reference)
     horizontal = np.hypot(errors.position_n[:, 0], errors.position_n[:, 1])
     known = np.isfinite(horizontal) & (aligned.mode >= Mode.NAVIGATING)
-    if not known.any():
-        return
-    sd = np.hypot(horizontal_sd(aligned), _slow_error(run))
-    rms, worst = float(np.sqrt(np.mean(horizontal[known] ** 2))), float(horizontal[known].max())
-    beyond = float(np.mean(horizontal[known] > 3.0 * sd[known]))
-    said = f"{rms:.2f} m RMS, {worst:.1f} m at worst"
-    if kind == "autopilot":
-        # Another filter's opinion, on much the same sensors: it shows disagreement, not error.
-        level: Level = "degraded" if worst > 3 * SD_DEGRADED_M else "good"
-        action = "One of the two is wrong there: look at the track and the innovations."
+    if known.any():
+        rms, worst = float(np.sqrt(np.mean(horizontal[known] ** 2))), float(horizontal[known].max())
+        said = f"{rms:.2f} m RMS, {worst:.1f} m at worst"
+        if kind == "autopilot":
+            yield _against_autopilot(run, aligned, horizontal, known, said)
+        else:
+            yield _against_truth(run, aligned, horizontal, known, said)
+    yaw = np.abs(errors.attitude[:, 2])[aligned.mode >= Mode.NAVIGATING]
+    yaw = yaw[np.isfinite(yaw)]
+    if len(yaw) and np.median(yaw) > HEADING_OFF:
+        whose = "the truth's" if kind == "truth" else "the autopilot's"
         yield Evidence(
-            level, f"horizontally {said} from the autopilot's estimate", action * (level != "good")
+            "bad" if kind == "truth" else "degraded",
+            f"heading is {np.degrees(np.median(yaw)):.0f}° from {whose} in the median",
+            "A compass beside currents, a wrong mounting, or a heading found from too little "
+            "motion.",
         )
-        return
-    level = "bad" if beyond > BEYOND_BAD else "degraded" if beyond > BEYOND_DEGRADED else "good"
+
+
+def _against_truth(
+    run: RunView, aligned: Solution, horizontal: F64, known: Known, said: str
+) -> Evidence:
+    sd = np.hypot(horizontal_sd(aligned), _slow_error(run))
+    beyond = float(np.mean(horizontal[known] > 3.0 * sd[known]))
+    level: Level = (
+        "bad" if beyond > BEYOND_BAD else "degraded" if beyond > BEYOND_DEGRADED else "good"
+    )
     text = f"horizontal error against truth {said}"
     if level == "good":
         alone = float(np.mean(horizontal[known] > 3.0 * horizontal_sd(aligned)[known]))
         hint = "The receiver's slow error is not in the stated one: gnss.slow_error_sd_m."
-        yield Evidence("good", text, hint if alone > BEYOND_DEGRADED else "")
-        return
-    yield Evidence(
+        return Evidence("good", text, hint if alone > BEYOND_DEGRADED else "")
+    return Evidence(
         level,
         f"{text}; {beyond:.0%} of the time beyond three stated standard deviations",
         "The filter is surer than it should be: check sensor noise, latency and lever arm in the "
         "configuration; companion tune suggests noise from the log.",
     )
+
+
+def _against_autopilot(
+    run: RunView, aligned: Solution, horizontal: F64, known: Known, said: str
+) -> Evidence:
+    """Another filter's opinion, on much the same sensors: it shows disagreement, not error.
+
+    Where the two disagree and the receiver has a fix, the receiver says which one is with it.
+    """
+    text = f"horizontally {said} from the autopilot's estimate"
+    apart = known & (horizontal > APART_M)
+    if not apart.any():
+        return Evidence("good", text)
+    found = _to_fixes(run, aligned, aligned.t_ns[apart])
+    if found is None:
+        action = "One of the two is wrong there, and no fix says which: look at the track."
+        return Evidence("degraded", text, action)
+    ours, theirs = found
+    where = f"{ours:.1f} m from the fixes there, the autopilot's {theirs:.1f} m"
+    if ours < theirs / 3.0:
+        return Evidence("good", f"{text}: this solution is {where}")
+    return Evidence("degraded", f"{text}: this solution is {where}", "Look at the innovations.")
+
+
+def _to_fixes(run: RunView, aligned: Solution, t_ns: I64) -> tuple[float, float] | None:
+    """Median horizontal distance [m] of the solution and of the autopilot's from those fixes of
+    the first receiver that are within a second of ``t_ns`` (N,) rising; None without any."""
+    if not run.vehicle.gnss or run.vehicle.autopilot is None:
+        return None
+    fixes = run.vehicle.gnss[0]
+    t = fixes.t_ns - round(run.config.gnss.latency_ms * 1e6)
+    at = np.clip(np.searchsorted(t_ns, t), 1, len(t_ns) - 1) if len(t_ns) > 1 else 0 * t
+    near = np.minimum(np.abs(t_ns[at] - t), np.abs(t_ns[at - 1] - t)) <= NS
+    used = near & (fixes.fix_type >= run.config.gnss.min_fix_type)
+    if not used.any():
+        return None
+    told = as_solution(_places(t[used], fixes.take(np.flatnonzero(used))))
+    off = []
+    for whose in (_places(aligned.t_ns, aligned), run.vehicle.autopilot):
+        errors = errors_against(told, whose).position_n
+        distance = np.hypot(errors[:, 0], errors[:, 1])
+        off.append(float(np.nanmedian(distance)) if np.isfinite(distance).any() else np.nan)
+    return (off[0], off[1]) if np.isfinite(off).all() else None
+
+
+def _places(t_ns: I64, of: Solution | GnssSamples) -> ReferenceSamples:
+    """Places alone, to be held against others."""
+    nothing = np.full((len(t_ns), 3), np.nan)
+    return ReferenceSamples("", t_ns, t_ns, t_ns, of.lat, of.lon, of.height, nothing, nothing)
 
 
 def _slow_error(run: RunView) -> float:
@@ -136,7 +215,7 @@ def _slow_error(run: RunView) -> float:
     return 0.0 if len(fixes) and np.median(fixes) >= 5 else SLOW_ERROR_M
 
 
-def _stated(aligned: Solution) -> Iterator[Evidence]:
+def _stated(run: RunView, aligned: Solution) -> Iterator[Evidence]:
     sd = horizontal_sd(aligned)
     known = sd[np.isfinite(sd)]
     if not len(known):
@@ -144,9 +223,13 @@ def _stated(aligned: Solution) -> Iterator[Evidence]:
         return
     median, worst = float(np.median(known)), float(known.max())
     level: Level = "bad" if worst > SD_BAD_M else "degraded" if worst > SD_DEGRADED_M else "good"
+    at = int(aligned.t_ns[np.nanargmax(sd)])
+    # A moment later: the first fix after an outage does not end it at once.
+    alone = any(o.start_ns <= at <= o.end_ns + NS for o in run.outages())
     yield Evidence(
         level,
-        f"stated horizontal standard deviation {median:.2f} m in the median, {worst:.1f} m at most",
+        f"stated horizontal standard deviation {median:.2f} m in the median, {worst:.1f} m at most"
+        + (", without GNSS" if alone and level != "good" else ""),
         "" if level == "good" else "See where it grows: an outage, or a receiver that is refused.",
     )
 
@@ -184,11 +267,11 @@ def _gates(run: RunView) -> Iterator[Evidence]:
         passed = mine & (reports.verdict == Verdict.ACCEPTED)
         stopped = int(np.count_nonzero(mine & (reports.verdict == Verdict.REJECTED_GATE)))
         total = int(np.count_nonzero(passed)) + stopped
-        if total < MINIMUM_UPDATES:
+        if total < MINIMUM_UPDATES or channel in (Channel.SOURCE_H, Channel.SOURCE_V):
             continue
         name = spoken(channel)
         share = stopped / total
-        if share > REJECTED_DEGRADED:
+        if share > REJECTED_DEGRADED and channel not in CONSTRAINTS:
             yield Evidence(
                 "bad" if share > REJECTED_BAD else "degraded",
                 f"{share:.0%} of {name} measurements were refused by the gate",

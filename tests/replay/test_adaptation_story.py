@@ -58,7 +58,8 @@ def test_a_cause_is_named_for_a_mean() -> None:
     (told,) = episodes(trace, 0)
     assert told.what == "Q"
     assert told.because == (
-        "innovations scatter as expected, far off zero: taken for the inertial unit's error"
+        "innovations scatter as expected, far off zero: most of it taken for the inertial unit's "
+        "error"
     )
 
 

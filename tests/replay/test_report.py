@@ -261,3 +261,51 @@ def test_a_source_fault_is_a_span_a_row_and_evidence(
     assert any("drifts from its own velocity" in cells[4] for _, cells in panel.told.rows)
     refused = np.array(unpack(shown["track"]["refused"]["t"]))
     assert np.all((refused > 60) & (refused < end + 1))  # by the gate first
+
+
+def test_a_receiver_lost_until_the_end_is_an_outage(
+    scenario: Scenario, vehicle: VehicleRecording
+) -> None:
+    gnss = vehicle.gnss[0]
+    t = (gnss.t_ns - start_ns(vehicle)) / NS
+    lost = replace(gnss, fix_type=np.where(t > 90, 1, gnss.fix_type))
+    run = view(scenario, replace(vehicle, gnss=(lost,)))
+    (outage,) = run.outages()
+    assert (outage.start_ns - run.origin_ns) / NS == pytest.approx(90, abs=0.5)
+    assert outage.end_ns == run.solution.t_ns[-1]
+    assert any("1 time without GNSS, 30 s" in e.text for e in judge(run).evidence)
+
+
+@pytest.mark.parametrize("whose", ["ours", "theirs"])
+def test_where_the_autopilot_disagrees_the_fixes_say_who_is_off(
+    nominal: RunView, whose: str
+) -> None:
+    vehicle = replace(nominal.vehicle, autopilot=nominal.vehicle.truth, truth=None)
+    assert vehicle.autopilot is not None
+    moved = replace(nominal, vehicle=vehicle)
+    agreed = judge(moved)
+    assert agreed.level == "good"
+    away = np.where(vehicle.autopilot.t_ns > moved.origin_ns + 80 * NS, 60.0 / 6.4e6, 0.0)
+    if whose == "theirs":
+        off = replace(vehicle.autopilot, lat=vehicle.autopilot.lat + away)
+        judgement = judge(replace(moved, vehicle=replace(vehicle, autopilot=off)))
+        assert judgement.level == "good"
+    else:
+        late = moved.solution.t_ns > moved.origin_ns + 80 * NS
+        lat = moved.solution.lat + np.where(late, 60.0 / 6.4e6, 0.0)
+        judgement = judge(replace(moved, solution=replace(moved.solution, lat=lat)))
+        assert judgement.level == "degraded"
+    (said,) = [e.text for e in judgement.evidence if "from the fixes there" in e.text]
+    far, near = (r"[56]\d\.\d m", r"[0-4]\.\d m")
+    first, second = (near, far) if whose == "theirs" else (far, near)
+    assert re.search(rf"this solution is {first} .* autopilot's {second}", said), said
+
+
+def test_a_heading_that_was_not_found_is_seen_against_truth(nominal: RunView) -> None:
+    half = np.radians(40.0) / 2
+    w, x, y, z = nominal.solution.q_nb.T
+    c, s = np.cos(half), np.sin(half)
+    turned = np.column_stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+    judgement = judge(replace(nominal, solution=replace(nominal.solution, q_nb=turned)))
+    assert judgement.level == "bad"
+    assert "heading is 40° from the truth's" in judgement.headline

@@ -191,7 +191,7 @@ def test_adaptation_is_told_with_the_winning_rule() -> None:
     v = told(model, Cursor())[0]["vehicles"]["v1"]
     assert v["now"]["adaptation"]["baro"] == {
         "r_scale": 6.0, "q_scale": 2.5, "alpha": 1.0, "age_s": 0.0,
-        "because": "innovations scatter more than expected, a little off zero: taken for the "
-        "inertial unit's error",
+        "because": "innovations scatter more than expected, a little off zero: most of it "
+        "taken for the inertial unit's error",
     }  # fmt: skip
     assert v["rows"][-1][1]["r.baro"] == 6.0
