@@ -15,14 +15,23 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from companion.config import Config
-from companion.types import NS, AnySamples, BaroSamples, GnssSamples, ImuSamples, MagSamples
+from companion.types import (
+    NS,
+    AnySamples,
+    BaroSamples,
+    GnssSamples,
+    ImuSamples,
+    MagSamples,
+    RawGnssSamples,
+)
 
-Kind = Literal["imu", "gnss", "baro", "mag"]
+Kind = Literal["imu", "gnss", "baro", "mag", "raw"]
 KINDS: dict[type, Kind] = {
     ImuSamples: "imu",
     GnssSamples: "gnss",
     BaroSamples: "baro",
     MagSamples: "mag",
+    RawGnssSamples: "raw",
 }
 
 USABLE_IMU_HZ = 20.0
@@ -82,12 +91,22 @@ class Selection:
         order in which they are heard. A source that the configuration names is used at once, and so
         is one that an earlier run has compared with others (``known``), if it is good.
         """
-        named = {"imu": config.imu.source, "gnss": config.gnss.source}
+        named = {
+            "imu": config.imu.source,
+            "gnss": config.gnss.source,
+            "raw": config.raw_gnss.source,
+        }
         self._named: dict[str, str] = {k: v for k, v in named.items() if v != "auto"}
         if imu:
             self._named.setdefault("imu", imu)
         self._ignored = {
-            kind for kind, use in (("baro", config.baro.use), ("mag", config.mag.use)) if not use
+            kind
+            for kind, use in (
+                ("baro", config.baro.use),
+                ("mag", config.mag.use),
+                ("raw", config.raw_gnss.coupling != "off"),
+            )
+            if not use
         }
         self._preferred = preferred
         self._known = known or {}
@@ -119,6 +138,8 @@ class Selection:
         """Whether this stream is the one to use from these samples on."""
         if kind in self._named:
             return self._named[kind] == samples.source
+        if kind == "raw":
+            return True  # there is one such link
         trial = self._trials.get(kind)
         if trial is None:
             length_ns = TRIAL_NS if kind in ("imu", "gnss") else AID_TRIAL_NS

@@ -598,7 +598,7 @@ LogState = Literal["off", "writing", "stopped"]
 class SensorHealth:
     """How one stream of samples is doing."""
 
-    kind: Literal["imu", "gnss", "baro", "mag"]
+    kind: Literal["imu", "gnss", "baro", "mag", "raw"]
     source: str
     state: SensorState
     used: bool

@@ -65,6 +65,8 @@ def _played_until(vehicle: VehicleRecording, config: Config, seq: int) -> Engine
         gnss=cut(vehicle.gnss),
         baro=cut(vehicle.baro),
         mag=cut(vehicle.mag),
+        raw=cut(vehicle.raw),
+        broadcast=cut(vehicle.broadcast),
     )
     engine = Engine(config)
     if until.imu:

@@ -34,6 +34,9 @@ def check_live(config: Config) -> None:
     _mavlink(config.mavlink)
     _ground(config.ground, config.mavlink)
     _to_autopilot(config.to_autopilot, config.mavlink)
+    receiver = config.raw_gnss.endpoint
+    if receiver and receiver in (config.mavlink.endpoint, config.ground.endpoint):
+        raise ConfigError(f"key 'raw_gnss.endpoint': '{receiver}' is used for MAVLink already")
     for name in ("listen", "connect"):
         for i, endpoint in enumerate(getattr(config.zenoh, name)):
             zenoh_endpoint(f"zenoh.{name}[{i}]", endpoint)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from companion.config.ranges import positive, within
+from companion.config.ranges import mavlink_endpoint, positive, within
 from companion.config.section import Section
 from companion.types import ConfigError
 
@@ -17,10 +17,14 @@ class RawGnss(Section):
     ``loose``: it takes the least-squares position and velocity of each epoch; ``off``: neither."""
     source: str = "auto"
     """Stream name of the receiver, or ``auto`` for the first one."""
+    endpoint: str = ""
+    """Live: a u-blox receiver's UBX, from a serial device or ``tcp:HOST:PORT``; empty: none."""
+    baud: int = 115_200
+    """Of a serial device."""
     clock: Literal["utc", "gps"] = "utc"
     """Of a sensor folder's stamps: POSIX nanoseconds in UTC, or in GPS time (18 s ahead)."""
     latency_ms: float = 0.0
-    """Stamp − validity of an epoch."""
+    """Stamp − validity of an epoch; live, the shortest time from measurement to arrival."""
     systems: tuple[Literal["gps", "galileo", "beidou"], ...] = ("gps", "galileo", "beidou")
     """Satellite systems that are used."""
     sd_range_m: float = 1.0
@@ -73,5 +77,8 @@ def check_raw_gnss(raw: RawGnss) -> None:
     within("raw_gnss.elevation_mask_deg", raw.elevation_mask_deg, 0.0, 60.0, "degrees")
     within("raw_gnss.best_of", raw.best_of, 4, 12, "satellites")
     within("raw_gnss.best_margin", raw.best_margin, 0.0, 1.0, "a part")
+    if raw.endpoint:
+        mavlink_endpoint("raw_gnss.endpoint", raw.endpoint)
+    within("raw_gnss.baud", raw.baud, 1200, 12_000_000, "bit/s")
     if not raw.systems:
         raise ConfigError("key 'raw_gnss.systems': at least one of 'gps', 'galileo', 'beidou'")

@@ -27,6 +27,7 @@ from companion.types import (
     SMOOTHING_GAVE_WAY,
     SMOOTHING_RESUMED,
     AnySamples,
+    BroadcastSamples,
     Event,
     Health,
     ImuSamples,
@@ -45,6 +46,7 @@ REFERENCE_NS = NS
 """The autopilot's own solution is logged in blocks this long."""
 TICK_LINK = "tick"
 MAVLINK_LINK = "mavlink"
+RECEIVER_LINK = "ublox"
 CAN_FRAME = struct.Struct("<IB3x")
 """A logged CAN frame: identifier, length, then the data, as Linux lays out ``struct can_frame``."""
 EXTENDED = 0x8000_0000
@@ -113,6 +115,17 @@ class Session(Protocol):
         """Dataclass of what verifying signatures counted; None without a key."""
 
 
+class Receiver(Protocol):
+    """What the core asks of a satellite receiver's driver."""
+
+    def feed(self, seq: int, t_rx_ns: int, data: bytes) -> Sequence[AnySamples]:
+        """Take bytes as they arrived; the samples that they complete."""
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What came, by name; ``frames`` and ``malformed`` among them."""
+
+
 class Core:
     """One vehicle: drivers, selection, engine, health and log, in order of arrival."""
 
@@ -124,6 +137,7 @@ class Core:
         start_ns: int,
         decoders: Mapping[str, Sequence[Decoder]],
         session: Session | None,
+        receiver: Receiver | None = None,
         preferred: Mapping[Kind, Sequence[str]],
         known: Mapping[Kind, str] | None = None,
         publish: Callable[[Outputs], None],
@@ -144,6 +158,7 @@ class Core:
         self._writer = writer
         self._decoders = decoders
         self._session = session
+        self._receiver = receiver
         units = [d.source for link in decoders.values() for d in link]
         self.selection = Selection(
             config, imu=units[0] if units else "", preferred=preferred, known=known
@@ -196,6 +211,21 @@ class Core:
             self._writer.raw(MAVLINK_LINK, now, seq, data, self.vehicle)
         self._session.feed(seq, now, data)
         self._drain_session(self._session)
+
+    def receiver(self, t_rx_ns: int, data: bytes) -> None:
+        """Bytes of a satellite receiver, cut anywhere."""
+        if self._receiver is None:
+            return
+        seq, now = self._next(RECEIVER_LINK, t_rx_ns)
+        if self._raw:
+            self._writer.raw(RECEIVER_LINK, now, seq, data, self.vehicle)
+        for samples in self._receiver.feed(seq, now, data):
+            if isinstance(samples, BroadcastSamples):
+                # Of no use but to raw measurements, and wanted before the first of them.
+                self._writer.samples(samples, self.vehicle)
+                self._give_out(self.engine.step(samples))
+            else:
+                self._take(samples)
 
     def tick(self, now: Reading) -> None:
         """Time passes: an arrival like any other."""
@@ -343,6 +373,9 @@ class Core:
         if self._session is not None:
             counters = self._session.counters
             self.monitor.traffic(MAVLINK_LINK, counters.frames, counters.bad_crc)
+        if self._receiver is not None:
+            heard = self._receiver.counters
+            self.monitor.traffic(RECEIVER_LINK, heard["frames"], heard["malformed"])
         return self.monitor.report(
             t_ns, self.mode, self.selection.uses, self._driver_counts, loop, log, self.counters()
         )
@@ -364,6 +397,8 @@ class Core:
             signing = self._session.signing_counters
             if signing is not None:
                 out |= {f"mavlink.signing.{name}": n for name, n in asdict(signing).items()}
+        if self._receiver is not None:
+            out |= {f"ublox.{name}": n for name, n in self._receiver.counters.items()}
         return out
 
     def _smoothing_counters(self) -> dict[str, int]:

@@ -28,7 +28,13 @@ from companion.types import (
     SensorState,
 )
 
-RATE_NS: dict[Kind, int] = {"imu": 2 * NS, "gnss": 10 * NS, "baro": 10 * NS, "mag": 10 * NS}
+RATE_NS: dict[Kind, int] = {
+    "imu": 2 * NS,
+    "gnss": 10 * NS,
+    "baro": 10 * NS,
+    "mag": 10 * NS,
+    "raw": 10 * NS,
+}
 """Rates are means over this long: ten samples of a 1 Hz receiver are its rate to a tenth."""
 STEADY_NS = 2 * NS
 """A sensor that came back is held for steady after this long."""
@@ -42,6 +48,7 @@ _NAMES: dict[Kind, str] = {
     "gnss": "GNSS",
     "baro": "barometer",
     "mag": "magnetometer",
+    "raw": "raw GNSS",
 }
 _NOTHING = float("nan")
 
@@ -93,6 +100,7 @@ class HealthMonitor:
             "gnss": round(live.gnss_timeout_s * NS),
             "baro": round(live.aid_timeout_s * NS),
             "mag": round(live.aid_timeout_s * NS),
+            "raw": round(live.gnss_timeout_s * NS),
         }
         self._start_ns = start_ns
         self._sensors: dict[tuple[Kind, str], _Sensor] = {}
@@ -271,7 +279,7 @@ def _verdict(
     """The worst of all parts, and every problem in words, errors first."""
     errors: list[str] = []
     warnings: list[str] = []
-    receiver = any(s.used for s in sensors if s.kind == "gnss")
+    receiver = any(s.used for s in sensors if s.kind in ("gnss", "raw"))
     for s in sensors:
         # A stream that nobody uses may come and go; a receiver is used once it has a fix.
         wanted = s.used or (s.state == "no-fix" and not receiver)

@@ -19,7 +19,7 @@ from companion.outputs.ground_link import GroundLink
 from companion.outputs.publisher import Publisher
 from companion.runtime.background import BackgroundFile
 from companion.runtime.clock import Reading, RunClock
-from companion.runtime.core import MAVLINK_LINK, Core
+from companion.runtime.core import MAVLINK_LINK, RECEIVER_LINK, Core
 from companion.runtime.latency import Latencies
 from companion.runtime.links import CanLink
 from companion.runtime.systemd import Notifier
@@ -78,6 +78,7 @@ class Parts:
     autopilot: ReopeningLink | None
     session: MavlinkSession | None
     publishers: Sequence[Publisher]
+    receiver: ReopeningLink | None
     ground: GroundLink | None
     log: BackgroundFile
     notifier: Notifier
@@ -160,9 +161,10 @@ class Loop:
         for bus in links:
             if isinstance(bus, CanLink):
                 self._read_bus(bus)
-        for autopilot in links:
-            if isinstance(autopilot, ReopeningLink):
-                self._read_autopilot(autopilot)
+        for link in links:
+            if isinstance(link, ReopeningLink):
+                own = link is self._p.receiver
+                self._read_stream(link, self.core.receiver if own else self.core.mavlink)
         self._send()
         self._stall_ns = max(self._stall_ns, clock.read().monotonic - worked)
 
@@ -176,12 +178,12 @@ class Loop:
         else:
             self._watch(bus)
 
-    def _read_autopilot(self, link: ReopeningLink) -> None:
+    def _read_stream(self, link: ReopeningLink, take: Callable[[int, bytes], None]) -> None:
         now = self._p.clock.read()
         pieces = link.read(now.run)
         for piece in pieces:
             self._arrival_ns = now.monotonic
-            self.core.mavlink(now.run, piece)
+            take(now.run, piece)
         if not pieces:
             self._watch(link)
 
@@ -206,6 +208,10 @@ class Loop:
             self._watch(p.autopilot, opened=opened)
             for state, note in p.autopilot.changes():
                 self.core.link(MAVLINK_LINK, state, note, now.run)
+        if p.receiver is not None:
+            self._watch(p.receiver, opened=p.receiver.poll(now.run))
+            for state, note in p.receiver.changes():
+                self.core.link(RECEIVER_LINK, state, note, now.run)
         self.core.tick(now)
         self._send()
         self._note_log(now)

@@ -28,6 +28,7 @@ from companion.types import (
 )
 from drivers.mavlink import samples as mavlink_samples
 from drivers.mavlink.link import ReopeningLink
+from drivers.ublox.session import UbloxSession
 
 PREFERRED: dict[Kind, Sequence[str]] = {
     "imu": mavlink_samples.IMU,
@@ -86,6 +87,7 @@ def _assembled(
 ) -> tuple[Parts, Core, Loop, LogWriter]:
     """Everything made and connected, nothing opened but the log."""
     config = start.config
+    raw_gnss = config.raw_gnss
     now_ns = clock.read().run
     session = None
     if config.mavlink.endpoint:
@@ -107,6 +109,7 @@ def _assembled(
         buses=[CanLink(bus) for bus in config.can],
         autopilot=ReopeningLink(config.mavlink.endpoint, config.mavlink.baud) if session else None,
         session=session,
+        receiver=ReopeningLink(raw_gnss.endpoint, raw_gnss.baud) if raw_gnss.endpoint else None,
         publishers=[*publishers, *feeds.publishers],
         ground=feeds.ground,
         log=sink,
@@ -120,6 +123,7 @@ def _assembled(
         start_ns=now_ns,
         decoders=decoders,
         session=session,
+        receiver=UbloxSession() if raw_gnss.endpoint else None,
         preferred=PREFERRED,
         known=start.known,
         publish=loop.publish,
@@ -144,6 +148,8 @@ def _close(parts: Parts) -> None:
         bus.close()
     if parts.autopilot is not None:
         parts.autopilot.close()
+    if parts.receiver is not None:
+        parts.receiver.close()
     for publisher in parts.publishers:
         publisher.close()
     if parts.ground is not None:

@@ -12,16 +12,29 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import Config, parse, to_toml
 from companion.engine import Engine
+from companion.gnss.orbit import (
+    E_I0,
+    E_M0,
+    E_OMEGA0,
+    E_SAT,
+    E_SQRT_A,
+    E_TOC_WEEK,
+    E_WEEK,
+    EPHEMERIS_SIZE,
+)
 from companion.runtime import saved_state
 from companion.runtime.saved_state import SavedState
 from companion.selection import KINDS, Kind
 from companion.types import (
     NS,
+    SATELLITES,
     BaroSamples,
+    BroadcastSamples,
     CompanionError,
     ConfigError,
     GnssSamples,
     ImuSamples,
+    RawGnssSamples,
 )
 from drivers.mavlink.packer import Packer
 from drivers.mavlink.session import MavlinkSession, SessionSettings
@@ -134,7 +147,28 @@ def warm_up(config: Config) -> None:
             fix = GnssSamples("gnss", late, t[one], t[one], *place, 0 * three, three, three, *sky)
             engine.step(fix)
             engine.step(BaroSamples("baro", t[one], t[one], t[one], np.array([1e5])))
+    if config.raw_gnss.coupling != "off":
+        _see_satellites(engine, int(t[-1]))
     engine.finish()
+
+
+def _see_satellites(engine: Engine, t_ns: int) -> None:
+    """Satellites that are not there: to find that their ranges fit no place takes every kernel."""
+    values = np.zeros((6, EPHEMERIS_SIZE))
+    values[:, E_SAT] = np.arange(101, 107)
+    values[:, E_SQRT_A], values[:, E_M0] = 5153.6, np.arange(6.0)
+    values[:, E_OMEGA0], values[:, E_I0] = np.arange(6.0), 0.96
+    values[:, E_WEEK] = values[:, E_TOC_WEEK] = 2300
+    stamps = np.full(6, t_ns)
+    sats = values[:, E_SAT].astype(np.int64)
+    engine.step(BroadcastSamples("raw", stamps, stamps, np.arange(6), sats, values))
+    columns = np.full((5, 1, SATELLITES), np.nan)
+    columns[0, 0, :6], columns[1, 0, :6] = 2.2e7, 0.0
+    sat = np.zeros((1, SATELLITES), np.int64)
+    sat[0, :6] = sats
+    one = stamps[:1]
+    week, tow = np.array([2300]), np.zeros(1)
+    engine.step(RawGnssSamples("raw", one, one, one, week, tow, sat, 0 * sat, *columns))
 
 
 def _hear_an_autopilot() -> None:

@@ -124,12 +124,13 @@ class UbxDecoder:
         if fix is None:
             self.counters.malformed += 1
             return None
-        if self._time is None:
-            return None
+        week = fix.week
+        if week is None:
+            if self._time is None:
+                return None
+            # The fix of the epoch before a turn of the week comes after it, or the reverse.
+            week = self._time[0] + round((self._time[1] - fix.tow) / 604_800.0)
         self.counters.fixes += 1
-        week, tow = self._time
-        # The fix of the epoch before a turn of the week comes after it, or the reverse.
-        week += round((tow - fix.tow) / 604_800.0)
         return _gnss(self.source, fix, self._stamps(week, fix.tow))
 
 

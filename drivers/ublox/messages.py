@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.gnss.gps_time import gps_from_calendar
 from companion.gnss.systems import B3_HZ, B3I, CARRIER_HZ, PRIMARY, C, satellite
 from companion.types import F64, I64
 
@@ -111,6 +112,8 @@ def subframe(payload: bytes) -> Subframe | None:
 class Pvt:
     """NAV-PVT: the receiver's own solution. Radians, metres above the ellipsoid, NED m/s."""
 
+    week: int | None
+    """By its date; None where the receiver does not know it yet."""
     tow: float
     lat: float
     lon: float
@@ -140,7 +143,19 @@ def pvt(payload: bytes) -> Pvt | None:
         kind = {1: 5, 2: 6}.get(flags >> 6, 4 if flags & 2 else 3)
     to_rad = 1e-7 * np.pi / 180.0
     return Pvt(
-        f[0] * 1e-3, lat * to_rad, lon * to_rad, height * 1e-3,
+        _week(f[0] * 1e-3, f[1:7], f[7]), f[0] * 1e-3, lat * to_rad, lon * to_rad, height * 1e-3,
         (north * 1e-3, east * 1e-3, down * 1e-3), sd_h * 1e-3, sd_v * 1e-3, sd_vel * 1e-3,
         satellites, kind,
     )  # fmt: skip
+
+
+def _week(tow: float, utc: tuple[int, ...], valid: int) -> int | None:
+    """GPS week from a date in UTC, which leap seconds put off by less than half a minute."""
+    if valid & 3 != 3:
+        return None
+    year, month, day, hour, minute, second = utc
+    try:
+        week, rough = gps_from_calendar(year, month, day, 3600.0 * hour + 60.0 * minute + second)
+    except ValueError:
+        return None
+    return week + round((rough - tow) / 604_800.0)

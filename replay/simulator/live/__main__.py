@@ -33,6 +33,9 @@ def _options(argv: list[str]) -> Options:
     parser.add_argument("--seconds", type=float, default=300.0, help="of flight: %(default)s")
     parser.add_argument("--rest", type=float, default=8.0, help="seconds on the ground first")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--receiver", default="", metavar="tcp|PATH", help="a u-blox receiver with raw GPS, too"
+    )
     parser.add_argument("--truth", type=Path, metavar="CSV", help="write the true flight here")
     given = parser.parse_args(argv)
     return Options(
@@ -42,6 +45,7 @@ def _options(argv: list[str]) -> Options:
         can=given.can,
         protocol=given.protocol,
         encoder_options={"node_id": given.node},
+        receiver=given.receiver,
         truth=given.truth,
     )
 

@@ -13,15 +13,18 @@ from typing import Any
 
 import msgspec
 
+from companion.gnss.systems import GPS
 from companion.types import NS, CompanionError, ImuSamples, VehicleRecording
 from replay.sensor_folder_writer import write_truth
 from replay.simulator.live.autopilot import BootClock, SimulatedAutopilot
 from replay.simulator.live.can_unit import Encoder, SimulatedCanImu
 from replay.simulator.live.faults import parse_order
 from replay.simulator.live.links import Plug, UdpLink
+from replay.simulator.live.receiver import SimulatedReceiver, TcpServer
 from replay.simulator.live.vehicle import CAN_SOURCE, LiveVehicle, moved
+from replay.simulator.raw_gnss import with_raw_gnss
 from replay.simulator.scenarios import Scenario
-from replay.simulator.simulation import simulate
+from replay.simulator.simulation import run as simulated
 
 _BOOTED_BEFORE_NS = 20 * NS
 """The autopilot has been on for this long when the flight begins."""
@@ -41,6 +44,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     encoder_options: dict[str, Any] = {}
     drift_ppm: float = 20.0
     """Of the autopilot's crystal."""
+    receiver: str = ""
+    """Of raw GNSS: ``tcp``, or the path at which a serial device appears; empty: none."""
     truth: Path | None = None
     """Where the true flight is written, on this machine's clock."""
 
@@ -85,18 +90,23 @@ def run(options: Options) -> None:
 
     Says ``{"ready": …}`` with its links and clock, answers orders, and closes with its counts.
     """
-    recording = simulate(options.scenario, options.seed)
+    simulation = simulated(options.scenario, options.seed)
+    recording = simulation.recording
+    sky = with_raw_gnss(simulation, options.seed, systems=(GPS,)).sky if options.receiver else None
     if options.can is not None:
         for imu in recording.imu:
             _warm(_encoder(options), imu)
     stop = _stop_on_signal()
     clock = _Clock()
-    recording = moved(recording, clock.start_unix_ns - options.scenario.start_unix_s * NS)
+    shift_ns = clock.start_unix_ns - options.scenario.start_unix_s * NS
+    recording = moved(recording, shift_ns)
     if options.truth is not None and recording.truth is not None:
         write_truth(recording.truth, options.truth)
     boot = BootClock(clock.start_unix_ns - _BOOTED_BEFORE_NS, options.drift_ppm)
     link = UdpLink(options.mavlink)
     plug = None if options.can is None else Plug(options.can)
+    receiver = None if sky is None else SimulatedReceiver(sky, shift_ns)
+    line = _line(options.receiver)
     try:
         vehicle = LiveVehicle(
             SimulatedAutopilot(recording, boot),
@@ -104,11 +114,14 @@ def run(options: Options) -> None:
             _unit(options, recording),
             plug,
             options.seed,
+            receiver,
+            line,
         )
         _say(
             ready=True,
             mavlink=link.endpoint,
             can=None if options.can is None else str(options.can),
+            receiver=line.endpoint if isinstance(line, TcpServer) else options.receiver,
             start_unix_ns=clock.start_unix_ns,
             start_monotonic_ns=clock.start_monotonic_ns,
         )
@@ -118,6 +131,16 @@ def run(options: Options) -> None:
         if plug is not None:
             plug.pull()
         link.close()
+        if isinstance(line, TcpServer):
+            line.close()
+        elif line is not None:
+            line.pull()
+
+
+def _line(receiver: str) -> Plug | TcpServer | None:
+    if receiver == "tcp":
+        return TcpServer()
+    return Plug(Path(receiver)) if receiver else None
 
 
 def _stop_on_signal() -> int:

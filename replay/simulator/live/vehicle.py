@@ -12,6 +12,7 @@ from replay.simulator.live.autopilot import SimulatedAutopilot
 from replay.simulator.live.can_unit import SimulatedCanImu
 from replay.simulator.live.faults import Faults, Order
 from replay.simulator.live.links import Plug, UdpLink
+from replay.simulator.live.receiver import SimulatedReceiver, TcpServer
 
 CAN_SOURCE = "can-imu"
 """Name of the simulated unit that is on the CAN bus; the autopilot's is ``HIGHRES_IMU``."""
@@ -43,8 +44,12 @@ class LiveVehicle:
         unit: SimulatedCanImu | None,
         plug: Plug | None,
         seed: int = 0,
+        receiver: SimulatedReceiver | None = None,
+        line: Plug | TcpServer | None = None,
     ) -> None:
+        """``receiver`` speaks over ``line``, where there is one."""
         self.autopilot, self.link = autopilot, link
+        self.receiver, self.line = receiver, line
         self.unit, self.plug = unit, plug
         self.adapter = slcan.SlcanAdapter()
         self.faults = Faults()
@@ -58,6 +63,8 @@ class LiveVehicle:
         due = [self.autopilot.next_ns]
         if self.unit is not None:
             due.append(self.unit.next_ns)
+        if self.receiver is not None:
+            due.append(self.receiver.next_ns)
         times = [t for t in due if t is not None]
         if not times:
             return None
@@ -80,6 +87,8 @@ class LiveVehicle:
         self._advance_mavlink(now_ns)
         if self.unit is not None:
             self._advance_can(self.unit, now_ns)
+        if self.receiver is not None and self.line is not None:
+            self.line.write(self.receiver.advance(now_ns))
 
     def _advance_mavlink(self, now_ns: int) -> None:
         booting = self.faults.on("autopilot-reboot")
@@ -117,6 +126,8 @@ class LiveVehicle:
         """Bring the parts in line with the faults that are on."""
         on = self.faults.on
         self.autopilot.gnss_silent = on("gnss-silent")
+        if self.receiver is not None:
+            self.receiver.silent = on("gnss-silent")
         if on("mavlink-down"):
             self.link.close()
         else:
@@ -149,6 +160,8 @@ class LiveVehicle:
                 "can_frames_heard": self.heard,
                 "can_commands_refused": self.adapter.refused,
             }
+        if self.receiver is not None:
+            counts["raw_epochs"] = self.receiver.epochs
         if self.plug is not None:
             counts["can_bytes_dropped"] = self.plug.dropped_bytes
         return counts

@@ -1,0 +1,55 @@
+"""Raw GNSS live: the process takes UBX over TCP and serial, fuses ranges, and its log replays."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from companion.types import Channel, Verdict
+from replay.children import free_port
+from replay.configuration import choose_config
+from replay.player import play
+from replay.reader import read_log
+from replay.run_log import read_solution
+from replay.simulator.live.client import VehicleProcess
+from tests.live import system
+
+
+@pytest.mark.parametrize("line", ["tcp", "serial"])
+def test_a_live_receiver_is_fused_tightly_and_its_log_replays(line: str, tmp_path: Path) -> None:
+    receiver = "tcp" if line == "tcp" else str(tmp_path / "ublox")
+    arguments = ["--mavlink", "udpin:127.0.0.1:0", "--can", str(tmp_path / "can")]
+    arguments += ["--imu-rate", "100", "--rest", "8", "--seconds", "300", "--receiver", receiver]
+    log = tmp_path / "run.mcap"
+    with VehicleProcess(arguments) as vehicle:
+        config = system.config_beside(vehicle, tmp_path, f"tcp/127.0.0.1:{free_port()}")
+        raw = msgspec.structs.replace(
+            config.raw_gnss, coupling="tight", endpoint=vehicle.ready["receiver"], latency_ms=80.0
+        )
+        config = msgspec.structs.replace(config, raw_gnss=raw)
+        with system.Companion(system.written(config, tmp_path), log) as companion:
+            companion.await_event("link-up: ublox open")
+            companion.await_event("satellite-set: ")
+            companion.await_event("aligned")
+            if line == "tcp":
+                vehicle.fault("gnss-silent", for_s=3.0)
+                companion.await_event("raw-silent: raw GNSS UBLOX silent")
+                companion.await_event("raw-back")
+            companion.await_event("heading-found")  # on ranges alone
+            companion.send_signal(signal.SIGTERM)
+            companion.finish()
+            summary = companion.answer(system.PATIENCE_S)
+        vehicle.end()
+    assert ("raw", "UBLOX") in {(one["kind"], one["source"]) for one in summary["inputs"]}
+    logged = read_log([log])
+    [recorded] = logged.vehicles
+    assert len(recorded.raw[0]) > 50
+    replayed = play(recorded, choose_config(logged).config)
+    assert replayed.digest == summary["digest"]
+    assert replayed.digest_published == summary["digest_published"]
+    reports = read_solution(log).reports
+    ranges = reports.channel == Channel.RANGE_GPS
+    assert (reports.verdict[ranges] == Verdict.ACCEPTED).mean() > 0.95
