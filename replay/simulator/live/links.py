@@ -97,8 +97,10 @@ class Plug:
     The device's own name changes from plug to plug, as a real adapter's does; the path does not.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, holds: int = _ADAPTER_BYTES) -> None:
+        """``holds``: bytes that wait for a computer that does not take them."""
         self.path = path
+        self._holds = holds
         self.dropped_bytes = 0
         self._waiting = b""
         self._master: int | None = None
@@ -154,7 +156,7 @@ class Plug:
         """
         if self._master is None:
             return
-        if len(self._waiting) + len(data) <= _ADAPTER_BYTES:
+        if len(self._waiting) + len(data) <= self._holds:
             self._waiting += data
         else:
             self.dropped_bytes += len(data)

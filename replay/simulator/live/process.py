@@ -28,6 +28,8 @@ from replay.simulator.simulation import run as simulated
 
 _BOOTED_BEFORE_NS = 20 * NS
 """The autopilot has been on for this long when the flight begins."""
+UART_BYTES = 1024
+"""A receiver has no memory for what nobody reads."""
 _PATIENCE_S = 0.5
 """Longest wait: the control stream's end must be noticed."""
 
@@ -140,7 +142,7 @@ def run(options: Options) -> None:
 def _line(receiver: str) -> Plug | TcpServer | None:
     if receiver == "tcp":
         return TcpServer()
-    return Plug(Path(receiver)) if receiver else None
+    return Plug(Path(receiver), UART_BYTES) if receiver else None
 
 
 def _stop_on_signal() -> int:
