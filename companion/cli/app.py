@@ -346,11 +346,12 @@ def export(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
     file_format: Annotated[
-        Literal["csv", "kml", "gpx", "geojson"],
+        Literal["csv", "kml", "gpx", "geojson", "ros2"],
         typer.Option(
             "--format",
             help="csv: t_ns, degrees, metres, m/s, standard deviations. kml: with times, outages "
-            "in another colour. gpx, geojson: the track in stretches.",
+            "in another colour. gpx, geojson: the track in stretches. ros2: a bag, one .mcap with "
+            "odometry and fixes.",
         ),
     ] = "csv",
     solution: Annotated[
@@ -365,7 +366,7 @@ def export(
         typer.Option(
             min=0.01,
             metavar="HZ",
-            help="At most this many epochs a second; without it all in csv, 5 in maps.",
+            help="At most this many epochs a second; without it all in csv and ros2, 5 in maps.",
         ),
     ] = None,
     config: ConfigPath = None,

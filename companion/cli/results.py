@@ -19,7 +19,7 @@ from replay.evaluation import as_solution
 from replay.export import export_csv
 from replay.window import Window
 
-FileFormat = Literal["csv", "kml", "gpx", "geojson"]
+FileFormat = Literal["csv", "kml", "gpx", "geojson", "ros2"]
 ExportedSolution = Literal["forward", "smoothed", "autopilot"]
 _MAP_RATE_HZ = 5.0
 """A map cannot show more, and a viewer has to hold it all."""
@@ -78,6 +78,15 @@ def export_run(
         solution = as_solution(vehicle.autopilot)
     if file_format == "csv":
         count = export_csv(maps.thin(solution, rate_hz), output)
+    elif file_format == "ros2":
+        from replay.ros2 import write_bag
+
+        count = write_bag(
+            maps.thin(solution, rate_hz),
+            output,
+            name=f"{run.name} {vehicle.name} {kind}",
+            height_datum=vehicle.height_datum,
+        )
     else:
         count = maps.write_map(
             solution,

@@ -8,7 +8,7 @@ forward-left-up.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -222,14 +222,13 @@ def _getter(rows: NDArray[Any] | None, payloads: Sequence[bytes], message: Any) 
 
 def encode_fixes(solution: Solution) -> U8:
     """One ``foxglove.LocationFix`` an epoch: bytes (N, length)."""
-    cov = _symmetric(solution.cov[:, COV_POS])
     return _FIX.encode(
         {
             **timestamp_columns(solution.t_ns),
             "latitude": np.degrees(solution.lat),
             "longitude": np.degrees(solution.lon),
             "altitude": solution.height,
-            "position_covariance": _ned_to_enu(cov).reshape(-1, 9),
+            "position_covariance": position_covariance_enu(solution).reshape(-1, 9),
             "heading": rpy_from_quat(solution.q_nb)[:, 2],
             "vel_x": solution.vel_n[:, 1],
             "vel_y": solution.vel_n[:, 0],
@@ -240,34 +239,58 @@ def encode_fixes(solution: Solution) -> U8:
 
 
 def encode_odometry(solution: Solution, origin: tuple[float, float, float]) -> U8:
-    """One ``foxglove.Odometry`` an epoch: bytes (N, length).
-
-    Position is in metres east, north, up of ``origin`` (latitude, longitude [rad], height [m]);
-    velocity and its covariance are in body axes forward, left, up.
-    """
-    n = len(solution)
-    lat0, lon0, height0 = (np.full(n, v) for v in origin)
-    ned = ned_difference(solution.lat, solution.lon, solution.height, lat0, lon0, height0)
-    pos = ned[:, _ENU] * _ENU_SIGN
-    C_bf = _body_from_nav(solution.q_nb) * _FLU_SIGN[:, None]
-    vel = np.einsum("nij,nj->ni", C_bf, solution.vel_n)
-    pose = np.zeros((n, 6, 6))
-    pose[:, :3, :3] = _ned_to_enu(_symmetric(solution.cov[:, COV_POS]))
-    pose[:, 3:, 3:] = _ned_to_enu(_symmetric(solution.cov[:, COV_ATT]))
-    twist = np.zeros((n, 6, 6))
-    twist[:, :3, :3] = C_bf @ _symmetric(solution.cov[:, COV_VEL]) @ C_bf.transpose(0, 2, 1)
-    q = _enu_flu_quaternion(solution.q_nb)
+    """One ``foxglove.Odometry`` an epoch: bytes (N, length), as :func:`odometry` has it."""
+    n, o = len(solution), odometry(solution, origin)
     return _ODOMETRY.encode(
         {
             **timestamp_columns(solution.t_ns),
-            **{"pos_" + a: pos[:, i] for i, a in enumerate("xyz")},
-            **{"q_" + a: q[:, i] for i, a in enumerate("wxyz")},
-            **{"vel_" + a: vel[:, i] for i, a in enumerate("xyz")},
-            "pose_covariance": pose.reshape(n, 36),
-            "velocity_covariance": twist.reshape(n, 36),
+            **{"pos_" + a: o.position[:, i] for i, a in enumerate("xyz")},
+            **{"q_" + a: o.q[:, i] for i, a in enumerate("wxyz")},
+            **{"vel_" + a: o.velocity[:, i] for i, a in enumerate("xyz")},
+            "pose_covariance": o.pose_cov.reshape(n, 36),
+            "velocity_covariance": o.twist_cov.reshape(n, 36),
         },
         n,
     )
+
+
+class Odometry(NamedTuple):
+    """A solution in the axes that ROS and Foxglove use."""
+
+    position: F64
+    """(N, 3) east, north, up of the origin [m]."""
+    q: F64
+    """(N, 4) scalar first, forward-left-up to east-north-up."""
+    velocity: F64
+    """(N, 3) forward, left, up [m/s]."""
+    pose_cov: F64
+    """(N, 6, 6) of position and attitude error, east, north, up [m², rad²]."""
+    twist_cov: F64
+    """(N, 6, 6) of the velocity [m²/s²]; zero where it is of the angular rate."""
+
+
+def odometry(solution: Solution, origin: tuple[float, float, float]) -> Odometry:
+    """The solution about ``origin`` (latitude, longitude [rad], height [m])."""
+    n = len(solution)
+    lat0, lon0, height0 = (np.full(n, v) for v in origin)
+    ned = ned_difference(solution.lat, solution.lon, solution.height, lat0, lon0, height0)
+    C_bf = _body_from_nav(solution.q_nb) * _FLU_SIGN[:, None]
+    pose, twist = np.zeros((n, 6, 6)), np.zeros((n, 6, 6))
+    pose[:, :3, :3] = _ned_to_enu(_symmetric(solution.cov[:, COV_POS]))
+    pose[:, 3:, 3:] = _ned_to_enu(_symmetric(solution.cov[:, COV_ATT]))
+    twist[:, :3, :3] = C_bf @ _symmetric(solution.cov[:, COV_VEL]) @ C_bf.transpose(0, 2, 1)
+    return Odometry(
+        position=ned[:, _ENU] * _ENU_SIGN,
+        q=_enu_flu_quaternion(solution.q_nb),
+        velocity=np.einsum("nij,nj->ni", C_bf, solution.vel_n),
+        pose_cov=pose,
+        twist_cov=twist,
+    )
+
+
+def position_covariance_enu(solution: Solution) -> F64:
+    """Of the position (N, 3, 3), rows and columns east, north, up [m²]."""
+    return _ned_to_enu(_symmetric(solution.cov[:, COV_POS]))
 
 
 def drawable(solution: Solution, interval_ns: int, last_slot: int) -> tuple[Solution, int]:
