@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,9 +30,17 @@ from companion.estimation.recording import Recording, Tape
 from companion.estimation.stretch import Stretch
 from companion.intake.aids import NEVER, Admitted, AidIntake, together
 from companion.intake.counters import Counters
-from companion.intake.inertial import CHUNK, CLOCK_BACK_NS, IMU_SIZE, InertialIntake, in_order
+from companion.intake.fused import FusedImu
+from companion.intake.fusion.fusion import ImuFusion, fuses
+from companion.intake.inertial import (
+    CHUNK,
+    CLOCK_BACK_NS,
+    IMU_SIZE,
+    InertialIntake,
+    in_order,
+)
 from companion.intake.ranges import RangeIntake, RangeSamples
-from companion.outlet import NO_SOLUTION, NOTHING, Outlet, join, reports, trace
+from companion.outlet import NO_SOLUTION, NOTHING, Outlet, also, join, reports, trace
 from companion.smoothing.on_line import OnLine
 from companion.types import (
     F64,
@@ -85,6 +92,7 @@ class Engine:
         self._tapes: list[Tape] = []
         self._stretches: list[Stretch] = []
         self._inertial = InertialIntake(config, self.counters)
+        self.fusion = ImuFusion(config, self.counters) if fuses(config) else None
         self._aiding = AidIntake(config, self.counters)
         self._ranges = RangeIntake(config)
         self._outlet = Outlet()
@@ -104,6 +112,9 @@ class Engine:
         if len(samples) == 0:
             return NOTHING
         if isinstance(samples, ImuSamples) and not self._aiding.further(samples):
+            if self.fusion is not None and not isinstance(samples, FusedImu):
+                fused, told = self.fusion.take([samples])
+                return also(self._step_imu(fused) if len(fused) else NOTHING, told)
             return self._step_imu(samples)
         self.counters.aids += len(samples)
         prepared, events = self._ranges.take([samples])
@@ -128,9 +139,14 @@ class Engine:
     def step_block(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
         """Take inertial samples and the aiding that arrived among them, as their ``seq`` says.
 
-        The same bits as :meth:`step` of one arrival after the other, for a fraction of the time
-        where much of the aiding is late.
+        Samples of units beside the first are among ``aids``. The same bits as :meth:`step` of one
+        arrival after the other, for a fraction of the time where much of the aiding is late.
         """
+        if self.fusion is not None and not isinstance(imu, FusedImu):
+            units = [imu, *(a for a in aids if isinstance(a, ImuSamples))]
+            fused, told = self.fusion.take(units)
+            others = [a for a in aids if not isinstance(a, ImuSamples)]
+            return also(self.step_block(fused, others), told)
         t, rows = self._inertial.rows(imu)
         head = self._head
         place = self._aiding.place
@@ -160,7 +176,7 @@ class Engine:
         late.sort(key=lambda one: one[0])
         self._walk_between(t, rows, late)
         out = self._drain()
-        return replace(out, events=(*out.events, *events)) if events else out
+        return also(out, events)
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""

@@ -5,6 +5,7 @@ Going back in time rewrites rows and takes events back; what has been said stays
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -192,6 +193,11 @@ def with_smoothed(out: Outputs, late: Outputs) -> Outputs:
     if late is NOTHING:
         return out
     return replace(out, events=(*out.events, *late.events), smoothed=late.smoothed)
+
+
+def also(out: Outputs, events: Sequence[Event]) -> Outputs:
+    """What a step gave out, and events that are not the estimator's."""
+    return replace(out, events=(*out.events, *events)) if events else out
 
 
 def join(parts: list[Outputs]) -> Outputs:

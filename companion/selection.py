@@ -1,15 +1,16 @@
 """Which streams feed the engine: one rule, live and replayed.
 
-The engine takes one inertial unit and the best sensor of each other kind; everything else that
-arrives is only logged. Live the choice is made while the streams come up, from what they have shown
-so far, and is kept for the run. The log says from which arrival on each was used, so that a replay
-feeds the same samples.
+The engine takes one inertial unit, those that are configured beside it (``further_imu``), and the
+best sensor of each other kind; everything else that arrives is only logged. Live the choice is made
+while the streams come up, from what they have shown so far, and is kept for the run. The log says
+from which arrival on each was used, so that a replay feeds the same samples.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -50,6 +51,19 @@ class Chosen(NamedTuple):
     kind: Kind
     source: str
     first_seq: int
+
+
+def in_turn(blocks: Sequence[AnySamples]) -> Iterator[AnySamples]:
+    """Every arrival at its place, runs of a stream together; of one number, in the order given."""
+    of = np.repeat(np.arange(len(blocks)), [len(b) for b in blocks])
+    order = np.lexsort((of, np.concatenate([b.seq for b in blocks])))
+    turn = of[order]
+    begins = np.flatnonzero(np.diff(turn, prepend=-1))
+    done = [0] * len(blocks)
+    for begin, end in itertools.pairwise([*begins.tolist(), len(turn)]):
+        index = int(turn[begin])
+        yield blocks[index].take(slice(done[index], done[index] + end - begin))
+        done[index] += end - begin
 
 
 class Thinner:
@@ -99,6 +113,7 @@ class Selection:
         self._named: dict[str, str] = {k: v for k, v in named.items() if v != "auto"}
         if imu:
             self._named.setdefault("imu", imu)
+        self._further = {unit.source: at for at, unit in enumerate(config.further_imu)}
         self._ignored = {
             kind
             for kind, use in (
@@ -117,11 +132,26 @@ class Selection:
 
     def uses(self, kind: Kind, source: str) -> bool:
         """Whether this stream feeds the engine."""
-        return self._source.get(kind) == source
+        return self._source.get(kind) == source or (kind == "imu" and source in self._further)
+
+    def ordered(self, blocks: Sequence[AnySamples]) -> Sequence[AnySamples]:
+        """Blocks that came together, as the engine is to get them.
+
+        Units that are fused are held against each other as they come in: their samples go in by
+        number of arrival, and of one number further units first, as in a replay.
+        """
+        units = [b for b in blocks if isinstance(b, ImuSamples)]
+        if not self._further or len(units) < 2:
+            return blocks
+        last = len(self._further)
+        units.sort(key=lambda b: self._further.get(b.source, last))
+        return [*(b for b in blocks if not isinstance(b, ImuSamples)), *in_turn(units)]
 
     def offer(self, samples: AnySamples) -> AnySamples | None:
         """What the engine gets of these samples: all, some, or None."""
         kind = KINDS[type(samples)]
+        if kind == "imu" and samples.source in self._further:
+            return samples if len(samples) else None
         source = self._source.get(kind)
         if source is None:
             if kind in self._ignored or not len(samples) or not self._passes(kind, samples):

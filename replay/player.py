@@ -13,8 +13,9 @@ import numpy as np
 
 from companion.config import Config
 from companion.engine import CLOCK_BACK_NS, NOTHING, Engine
+from companion.intake.fusion.fusion import fuses
 from companion.outlet import with_smoothed
-from companion.selection import Thinner
+from companion.selection import Thinner, in_turn
 from companion.types import (
     I64,
     NS,
@@ -55,13 +56,19 @@ def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples
     mag = (Thinner(config.mag.max_rate_hz)(m) for m in vehicle.mag[:1] if config.mag.use)
     direct = config.engine.estimator == "direct"
     attitude = vehicle.attitude[:1] if direct and config.direct.attitude else ()
-    further = [
-        stream
-        for unit in config.further_imu
-        for stream in vehicle.imu
-        if direct and stream.source == unit.source
-    ]
-    return [*gnss, *baro, *mag, *attitude, *further]
+    return [*gnss, *baro, *mag, *attitude, *_further(vehicle, config)]
+
+
+def _further(vehicle: VehicleRecording, config: Config) -> list[ImuSamples]:
+    """The inertial units beside the first one; those that the log does not have stay silent."""
+    first = choose_imu(vehicle, config).source if config.further_imu else ""
+    found = [s for unit in config.further_imu for s in vehicle.imu if s.source == unit.source]
+    if any(stream.source == first for stream in found):
+        raise LogFormatError(
+            f"inertial stream '{first}' is the first unit and a further one: name the first in "
+            "imu.source"
+        )
+    return found
 
 
 def _raw(vehicle: VehicleRecording, config: Config) -> list[AidingSamples]:
@@ -92,6 +99,9 @@ def arrivals(
     at any moment up to then; only one that arrives behind it must come exactly at its place. None
     may come before a restart of the IMU's clock that it arrived after: that forgets what waits.
     """
+    if fuses(config):
+        yield from in_turn([*choose_aids(vehicle, config), choose_imu(vehicle, config)])
+        return
     imu = choose_imu(vehicle, config)
     streams = choose_aids(vehicle, config)
     imu_latency = round(config.imu.latency_ms * 1e6)

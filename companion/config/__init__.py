@@ -25,12 +25,14 @@ from companion.config.estimator import (
     FurtherImu,
     Gnss,
     Imu,
+    ImuFusion,
     LastHeading,
     Mag,
     Smoothing,
     SourceFaults,
     Vehicle,
 )
+from companion.config.imu_checks import check_units
 from companion.config.live import (
     CanBus,
     CanImu,
@@ -66,6 +68,7 @@ __all__ = [
     "Gnss",
     "Ground",
     "Imu",
+    "ImuFusion",
     "LastHeading",
     "Live",
     "Log",
@@ -95,6 +98,7 @@ class Config(Section):
     vehicle: Vehicle = Vehicle()
     imu: Imu = Imu()
     further_imu: tuple[FurtherImu, ...] = ()
+    imu_fusion: ImuFusion = ImuFusion()
     gnss: Gnss = Gnss()
     raw_gnss: RawGnss = RawGnss()
     baro: Baro = Baro()
@@ -259,7 +263,8 @@ def _check(config: Config) -> None:
     if last is not None:
         within("alignment.last_heading.heading_deg", last.heading_deg, -360.0, 360.0, "degrees")
         positive("alignment.last_heading.sd_deg", last.sd_deg, "degrees")
-    check_direct(config.direct, config.further_imu)
+    check_direct(config.direct)
+    check_units(config.imu, config.further_imu, config.imu_fusion)
     if config.engine.estimator == "direct" and config.smoothing.enabled:
         raise ConfigError("key 'smoothing.enabled': only with engine.estimator = 'error-state'")
     check_live(config)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from companion.config.estimator import Direct, FurtherImu
-from companion.config.ranges import not_empty, positive, within
-from companion.types import ConfigError
+from companion.config.estimator import Direct
+from companion.config.ranges import positive, within
 
 
-def check_direct(direct: Direct, units: Sequence[FurtherImu]) -> None:
-    """Raise :class:`ConfigError` for a value that cannot be, naming its key."""
+def check_direct(direct: Direct) -> None:
+    """Raise :class:`~companion.types.ConfigError` for a value that cannot be, naming its key."""
     for name, unit in (
         ("jerk_mps3_rthz", "m/s³/√Hz"),
         ("angular_acceleration_dps2_rthz", "deg/s²/√Hz"),
@@ -36,11 +33,3 @@ def check_direct(direct: Direct, units: Sequence[FurtherImu]) -> None:
         ("attitude_slow_yaw_sd_deg", 180.0, "degrees"),
     ):
         within(f"direct.{name}", getattr(direct, name), 0.0, high, unit, " (0: none)")
-    sources = [unit.source for unit in units]
-    for index, further in enumerate(units):
-        key = f"further_imu[{index}]"
-        not_empty(f"{key}.source", further.source, "name of an inertial stream")
-        for value in further.lever_arm_b_m:
-            within(f"{key}.lever_arm_b_m", value, -100.0, 100.0, "metres")
-    if len(set(sources)) < len(sources):
-        raise ConfigError(f"key 'further_imu': each source once, got {', '.join(sources)}")

@@ -78,6 +78,33 @@ class FurtherImu(Section):
     """Stream name, such as ``imu2``."""
     lever_arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """From the first unit to this one, body FRD [m]."""
+    axes: tuple[tuple[float, float, float], ...] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
+    """Rotation from this unit's axes to those of the first unit, row by row; ``imu.axes`` then
+    turns both to body FRD."""
+    latency_ms: float | None = None
+    """Stamp − validity; absent: as the first unit's."""
+    gyro_range_dps: float = 0.0
+    """Full scale [deg/s]; 0: not known."""
+    accel_range_mps2: float = 0.0
+
+
+class ImuFusion(Section):
+    """How the error-state filter takes several units (``[[further_imu]]``): as one, fused."""
+
+    exclude: bool = True
+    """Find units that have gone wrong and do without them; false: all are used at all times."""
+    wait_ms: float = 30.0
+    """An epoch waits this long, by the other units' stamps, for a unit that is late."""
+    proof_s: float = 10.0
+    """A unit that was excluded has to agree with the others for this long before it is used again;
+    twice as long each further time, up to ten minutes."""
+    mismatch_percent: float = 0.5
+    """Scale error and misalignment of a unit against the others, 1σ, as a share of what is
+    measured: calibrated units have 0.2, ones mounted by eye 2. Learned in flight."""
 
 
 class Gnss(Section):

@@ -119,6 +119,8 @@ AID_SIZE = 14
 O_LAT, O_VEL, O_Q, O_ACCEL_BIAS, O_GYRO_BIAS, O_COV, O_MODE, O_RESETS = 0, 3, 6, 10, 13, 16, 46, 47
 ROW_SIZE = 48
 
+EXCESS = 8
+"""Columns of a sample's noise beyond the configured one: gyro, accelerometer."""
 BRIDGE_ACCEL_VAR = 1.0
 BRIDGE_GYRO_VAR = 0.01
 """What a bridged gap may hide: (1 m/s²)² and (0.1 rad/s)², constant over the gap."""
@@ -477,6 +479,8 @@ def _step(
     if whole > par[BRIDGED_DT]:
         s[SUM_XV] += BRIDGE_ACCEL_VAR * whole * dt
         s[SUM_XA] += BRIDGE_GYRO_VAR * whole * dt
+    s[SUM_XA] += sample[EXCESS] * dt
+    s[SUM_XV] += sample[EXCESS + 1] * dt
     if not integral:
         for i in range(6):
             s[LAST_GYRO + i] = at[i]
@@ -656,9 +660,9 @@ def walk(
 ) -> int:
     """Walk state ``s``, ``k`` over samples ``at[0]:at[1]`` and aids ``at[2]:at[3]``.
 
-    imu_t (N,) ns and imu (N, 8): gyro [rad/s], specific force [m/s²], integration interval [s]
-    or 0, what is saturated; aid_t (M,), aid_kind (M, 2): kind and source, aid (M, AID_SIZE): see
-    the ``A_`` columns.
+    imu_t (N,) ns and imu (N, 10): gyro [rad/s], specific force [m/s²], integration interval [s]
+    or 0, what is saturated, noise densities beyond the configured ones of both [rad²/s, m²/s³];
+    aid_t (M,), aid_kind (M, 2): kind and source, aid (M, AID_SIZE): see the ``A_`` columns.
     Aids after the last sample wait. Output rows go to ``rows`` from ``at[4]`` on, reports to
     ``reports`` from ``at[5]``, snapshots to the rings ``snaps``, ``snaps_k``. ``at`` is moved on;
     the code says why the walk ended: all samples taken, a gap before sample ``at[0]``, a state

@@ -13,7 +13,7 @@ from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
 from companion.gnss.corrected import ROW_SIZE
 from companion.intake.counters import Counters
-from companion.intake.inertial import Mounting
+from companion.intake.inertial import Mounting, turned
 from companion.intake.place import Place
 from companion.intake.ranges import SINGLE_POINT, RangeSamples
 from companion.measurements.barometer import pressure_height
@@ -143,6 +143,8 @@ class AidIntake:
             rows, verdict = self._baro(samples)
         elif isinstance(samples, ImuSamples):
             kind, latency_ms = w.KIND_IMU, self.config.imu.latency_ms
+            own = self.config.further_imu[self._further[samples.source]].latency_ms
+            latency_ms = latency_ms if own is None else own
             rows, verdict = self._imu(samples)
         elif isinstance(samples, AttitudeSamples):
             if not self._attitude:
@@ -251,8 +253,9 @@ class AidIntake:
 
     def _imu(self, samples: ImuSamples) -> tuple[F64, I64]:
         rows, verdict = _blank(len(samples))
-        rows[:, :3] = self._mounting.turn(samples.gyro_b)
-        rows[:, 3:6] = self._mounting.turn(samples.accel_b)
+        unit = self.config.further_imu[self._further[samples.source]]
+        rows[:, :3] = self._mounting.turn(turned(samples.gyro_b, unit.axes))
+        rows[:, 3:6] = self._mounting.turn(turned(samples.accel_b, unit.axes))
         rows[:, 6] = np.where(samples.interval_s > 0, samples.interval_s, 0.0)
         verdict[~np.isfinite(rows[:, :6]).all(axis=1)] = Verdict.REFUSED_INVALID
         return rows, verdict

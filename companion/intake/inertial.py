@@ -3,40 +3,46 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from companion.config import Config
 from companion.estimation.saturation import SATURATION
+from companion.estimation.walk import EXCESS
 from companion.intake.counters import Counters
+from companion.intake.fused import FusedImu
 from companion.intake.saturation import SaturationWatch
 from companion.types import F64, I64, NS, Event, ImuSamples
 
 CLOCK_BACK_NS = NS
 """An IMU clock that goes back further than this has been restarted; less is a late sample."""
-IMU_SIZE = 8
-"""Columns of a row: rate, specific force, interval, what is saturated."""
+IMU_SIZE = 10
+"""Columns of a row: rate, specific force, interval, what is saturated, excess noise of both (gyro
+first)."""
 CHUNK = 20_000
 """Inertial samples walked between two drains of the outputs: bounds memory, not results."""
+
+
+def turned(v: F64, axes: Sequence[Sequence[float]]) -> F64:
+    """Vectors (N, 3) by the rows of ``axes``, summed in one order.
+
+    A matrix product may sum otherwise for another N or processor, and the bits with it.
+    """
+    return np.stack([v[:, 0] * a[0] + v[:, 1] * a[1] + v[:, 2] * a[2] for a in axes], axis=1)
 
 
 class Mounting:
     """The axes that a sensor's vectors are turned by, body FRD being the result."""
 
     def __init__(self, config: Config) -> None:
-        self._axes = np.array(config.imu.axes, dtype=np.float64)
+        self._axes = config.imu.axes
         self._identity = bool(np.array_equal(self._axes, np.eye(3)))
 
     def turn(self, v: F64) -> F64:
-        """Vectors (N, 3) in body axes, summed in one order.
-
-        A matrix product may sum otherwise for another N or processor, and the bits with it.
-        """
-        if self._identity:
-            return v
-        rows = [v[:, 0] * a[0] + v[:, 1] * a[1] + v[:, 2] * a[2] for a in self._axes]
-        return np.stack(rows, axis=1)
+        """Vectors (N, 3) in body axes."""
+        return v if self._identity else turned(v, self._axes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +66,13 @@ class InertialIntake:
 
     def rows(self, block: ImuSamples) -> tuple[I64, F64]:
         """Times of validity, and rows (N, IMU_SIZE) in body axes as the walk takes them."""
-        rows = np.empty((len(block), IMU_SIZE))
+        rows = np.zeros((len(block), IMU_SIZE))
         rows[:, :3] = self._mounting.turn(block.gyro_b)
         rows[:, 3:6] = self._mounting.turn(block.accel_b)
         np.fmax(block.interval_s, 0.0, out=rows[:, 6])  # NaN, an instantaneous sample: 0
         rows[:, SATURATION] = self._saturation.flags(block)
+        if isinstance(block, FusedImu):
+            rows[:, EXCESS : EXCESS + 2] = block.excess
         return block.t_ns - self._latency_ns, rows
 
     def watch(self, t: I64, rows: F64) -> None:

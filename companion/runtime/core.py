@@ -159,7 +159,8 @@ class Core:
         self._decoders = decoders
         self._session = session
         self._receiver = receiver
-        units = [d.source for link in decoders.values() for d in link]
+        further = {unit.source for unit in config.further_imu}
+        units = [d.source for link in decoders.values() for d in link if d.source not in further]
         self.selection = Selection(
             config, imu=units[0] if units else "", preferred=preferred, known=known
         )
@@ -197,10 +198,9 @@ class Core:
             for decoder in decoders:
                 if decoder.feed(seq, now, can_id, extended, data):
                     break
-        for decoder in decoders:
-            samples = decoder.take()
-            if samples is not None:
-                self._take(samples)
+        taken = [made for d in decoders if (made := d.take()) is not None]
+        for one in self.selection.ordered(taken):
+            self._take(one)
 
     def mavlink(self, t_rx_ns: int, data: bytes) -> None:
         """A datagram, or a piece of a stream."""
@@ -268,7 +268,7 @@ class Core:
     def _drain_session(self, session: Session) -> None:
         # All that came with one piece have one number: the order of the kinds is the session's, and
         # that of a replay.
-        for samples in session.take():
+        for samples in self.selection.ordered(session.take()):
             self._take(samples)
         self._references += session.references()
         for event in session.events():
@@ -376,9 +376,11 @@ class Core:
         if self._receiver is not None:
             heard = self._receiver.counters
             self.monitor.traffic(RECEIVER_LINK, heard["frames"], heard["malformed"])
+        fusion = self.engine.fusion
         return self.monitor.report(
-            t_ns, self.mode, self.selection.uses, self._driver_counts, loop, log, self.counters()
-        )
+            t_ns, self.mode, self.selection.uses, self._driver_counts, loop, log, self.counters(),
+            fusion.excluded() if fusion is not None else {},
+        )  # fmt: skip
 
     def counters(self) -> dict[str, int]:
         """Everything that is counted, by a stable name."""
@@ -390,6 +392,7 @@ class Core:
         }
         out |= {f"engine.refused.{name}": count for name, count in engine.refused.items()}
         out |= self._smoothing_counters()
+        out |= self.engine.fusion.counts() if self.engine.fusion is not None else {}
         for source, decoder in self._by_source.items():
             out |= {f"{source}.{name}": n for name, n in asdict(decoder.counters).items()}
         if self._session is not None:

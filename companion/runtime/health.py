@@ -224,14 +224,15 @@ class HealthMonitor:
         loop: LoopHealth,
         log: LogHealth,
         counters: Mapping[str, int],
+        excluded: Mapping[str, str] | None = None,
     ) -> Health:
-        """Everything together."""
+        """Everything together; ``excluded``: inertial units that are done without, and why."""
         sensors = tuple(
             _sensor_health(s, t_ns, uses(s.kind, s.source), *count(s.source))
             for s in self._sensors.values()
         )
         links = tuple(self._links.values())
-        level, text = _verdict(mode, sensors, links, log)
+        level, text = _verdict(mode, sensors, links, log, excluded or {})
         return Health(
             vehicle=self._vehicle,
             t_ns=t_ns,
@@ -274,7 +275,11 @@ def _sensor_health(s: _Sensor, t_ns: int, used: bool, lost: int, saturated: int)
 
 
 def _verdict(
-    mode: Mode, sensors: tuple[SensorHealth, ...], links: tuple[LinkHealth, ...], log: LogHealth
+    mode: Mode,
+    sensors: tuple[SensorHealth, ...],
+    links: tuple[LinkHealth, ...],
+    log: LogHealth,
+    excluded: Mapping[str, str],
 ) -> tuple[Level, str]:
     """The worst of all parts, and every problem in words, errors first."""
     errors: list[str] = []
@@ -287,6 +292,7 @@ def _verdict(
             state = "without a fix" if s.state == "no-fix" else s.state
             text = f"{_NAMES[s.kind]} {s.source} {state}"
             (errors if s.kind == "imu" and s.state == "silent" else warnings).append(text)
+    warnings += [f"IMU {source} excluded ({why})" for source, why in excluded.items()]
     if not any(s.used for s in sensors if s.kind == "imu"):
         errors.append("no IMU")
     if mode == Mode.ALIGNING:

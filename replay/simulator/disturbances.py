@@ -6,6 +6,9 @@ from a generator of their own: the other errors of a seed are the same with and 
 
 from __future__ import annotations
 
+import math
+from typing import Literal
+
 import msgspec
 import numpy as np
 
@@ -45,6 +48,21 @@ class Shaking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     hz: float = 70.0
 
 
+class Failure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An inertial unit that goes wrong in [start, start + length)."""
+
+    kind: Literal["drifting", "frozen", "saturated", "silent", "noisy", "scaled"]
+    """``drifting``: a ramp; ``frozen``: the last values for ever; ``saturated``: the x axes at full
+    scale; ``silent``: no samples; ``noisy``, ``scaled``: white noise, or the output, times
+    ``factor``."""
+    start_s: float
+    length_s: float = math.inf
+    factor: float = 1.0
+    gyro_dps_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How fast it drifts."""
+    accel_mps2_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 def inside(t: F64, start_s: float, length_s: float) -> F64:
     """(N,) 1 within [start, start + length), else 0."""
     return np.where((t >= start_s) & (t < start_s + length_s), 1.0, 0.0)
@@ -78,3 +96,41 @@ def stepped(steps: tuple[BiasStep, ...], t: F64) -> tuple[F64, F64]:
         gyro += np.outer(after, one.gyro_dps) * DEG
         accel += np.outer(after, one.accel_mps2)
     return gyro, accel
+
+
+def failed(
+    failures: tuple[Failure, ...],
+    rng: np.random.Generator,
+    t: F64,
+    gyro: F64,
+    accel: F64,
+    *,
+    white: tuple[float, float],
+    limits: tuple[float, float],
+) -> None:
+    """Let ``gyro`` and ``accel`` (N, 3) at times ``t`` (N,) go wrong, in place.
+
+    ``white``: deviation of a sample's noise, ``limits``: full scale, both of gyro and
+    accelerometer. A unit that falls silent is for the caller to cut.
+    """
+    for one in failures:
+        window = inside(t, one.start_s, one.length_s)[:, None]
+        at = np.flatnonzero(window)
+        if not len(at):
+            continue
+        since = np.maximum(t - one.start_s, 0.0)[:, None]
+        for out, drift, sd, limit in (
+            (gyro, np.array(one.gyro_dps_s) * DEG, white[0], limits[0]),
+            (accel, np.array(one.accel_mps2_s), white[1], limits[1]),
+        ):
+            if one.kind == "drifting":
+                out += window * since * drift
+            elif one.kind == "noisy":
+                more = math.sqrt(max(one.factor**2 - 1.0, 0.0)) * sd
+                out += window * rng.standard_normal(out.shape) * more
+            elif one.kind == "scaled":
+                out *= 1.0 + (one.factor - 1.0) * window
+            elif one.kind == "frozen":
+                out[at] = out[max(at[0] - 1, 0)]
+            elif one.kind == "saturated":
+                out[at, 0] = limit

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.config import DEG
 from companion.types import F64
-from replay.simulator.disturbances import BiasStep, Shaking, shaken, stepped
+from replay.simulator.disturbances import BiasStep, Failure, Shaking, failed, shaken, stepped
 from replay.simulator.noise import gauss_markov, narrow_band, random_walk
 
 
@@ -60,6 +60,9 @@ class ImuSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     vibration_hz: float = 80.0
     bias_steps: tuple[BiasStep, ...] = ()
     shaking: tuple[Shaking, ...] = ()
+    lever_arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From the vehicle's reference point, where the first unit should be, body FRD [m]."""
+    failures: tuple[Failure, ...] = ()
 
     def modelled_only(self) -> ImuSpec:
         """The same unit with just what the 15-state filter models, for consistency tests.
@@ -84,6 +87,7 @@ class ImuSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             vibration_mps2=0.0,
             bias_steps=(),
             shaking=(),
+            failures=(),
         )
 
     @property
@@ -278,4 +282,8 @@ def measure(
         quantum=spec.accel_step_mps2,
         limit=spec.accel_range_mps2,
     )
+    rate = 1.0 / math.sqrt(step_s)
+    white = (spec.gyro_noise_dps_rthz * DEG * rate, spec.accel_noise_mps2_rthz * rate)
+    limits = (spec.gyro_range_dps * DEG, spec.accel_range_mps2)
+    failed(spec.failures, rng.spawn(1)[0], t, gyro, accel, white=white, limits=limits)
     return gyro, accel, gyro_bias, accel_bias

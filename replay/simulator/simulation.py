@@ -20,6 +20,7 @@ from companion.types import (
     VehicleRecording,
 )
 from replay.simulator import aids, imu
+from replay.simulator.disturbances import inside
 from replay.simulator.plans import PLANS
 from replay.simulator.scenarios import Scenario, TrajectorySpec, check
 from replay.simulator.trajectory import Trajectory
@@ -85,12 +86,38 @@ def _inertial(
         ideal = trajectory.inertial_means(valid, interval)
     else:
         ideal = trajectory.inertial(valid)
+    ideal = ideal[0], ideal[1] + _lever_force(trajectory, valid, interval, spec.lever_arm_b_m)
     gyro, accel, gyro_bias, accel_bias = imu.measure(
         spec, rng, *ideal, valid, _running(trajectory, valid, duration_s)
     )
     rx = stamp_ns + _ns(np.array(spec.arrival_ms * 1e-3))
     samples = ImuSamples(spec.source, stamp_ns, rx, stamp_ns, gyro, accel, interval)
-    return samples, gyro_bias, accel_bias
+    silent = np.zeros(len(valid))
+    for failure in spec.failures:
+        if failure.kind == "silent":
+            silent += inside(valid, failure.start_s, failure.length_s)
+    said = silent == 0.0
+    return samples.take(said), gyro_bias[said], accel_bias[said]
+
+
+def _lever_force(
+    trajectory: Trajectory, t: F64, interval: F64, lever_b: tuple[float, float, float]
+) -> F64:
+    """What a unit at ``lever_b`` feels beside one at the reference point, (N, 3) [m/s²].
+
+    α × r + ω × (ω × r); for integrals its mean over the interval, centripetal part by Simpson.
+    """
+    if not any(lever_b):
+        return np.zeros((len(t), 3))
+    arm = np.array(lever_b)
+    instant = np.isnan(interval)
+    h = np.where(instant, 2e-4, interval)
+    end = np.where(instant, t + 1e-4, t)
+    rates = [trajectory.inertial(end - part * h)[0] for part in (1.0, 0.5, 0.0)]
+    inward = [np.cross(w, np.cross(w, arm)) for w in rates]
+    turn = np.cross((rates[2] - rates[0]) / h[:, None], arm)
+    force: F64 = turn + (inward[0] + 4.0 * inward[1] + inward[2]) / 6.0
+    return force
 
 
 def _gnss(

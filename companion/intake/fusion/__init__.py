@@ -1,0 +1,1 @@
+"""Several inertial units as one: resampled, rid of lever arms, weighed, judged. Pure."""
