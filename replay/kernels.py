@@ -32,6 +32,7 @@ PARTS: dict[str, tuple[str, ...]] = {
         "companion.gnss", "companion.measurements.pseudorange",
         "companion.estimation.receiver_clock",
     ),
+    "several imus": ("companion.intake.fusion",),
     "files": ("replay.candump", "replay.dataflash_codec"),
     "simulator": ("replay.simulator",),
 }  # fmt: skip
@@ -82,6 +83,7 @@ def parts_of(config: Config) -> tuple[str, ...]:
         "smoothing": config.smoothing.enabled,
         "direct": config.engine.estimator == "direct",
         "gnss": config.raw_gnss.coupling != "off",
+        "several imus": bool(config.further_imu),
     }
     return tuple(part for part, used in asked.items() if used)
 
