@@ -25,6 +25,7 @@ from companion.types import (
     Solution,
     Verdict,
 )
+from replay.adaptation_story import episodes
 from replay.evaluation import as_solution, errors_against
 from replay.report.charts import spoken
 from replay.report.run_view import RunView
@@ -52,6 +53,8 @@ UNAIDED_DEGRADED = 0.02
 """Share of the time without position or velocity aiding."""
 FAULTY_BAD = 0.3
 """Share of the time for which a receiver was held for faulty."""
+WORSE_DEGRADED = 0.1
+"""Share of the time for which a sensor was believed less than it should be."""
 CONSTRAINTS = (Channel.ZERO_VELOCITY, Channel.ZERO_RATE, Channel.NON_HOLONOMIC)
 """What is assumed of the motion, and refused where the vehicle moves otherwise: no fault."""
 MINIMUM_UPDATES = 30
@@ -101,6 +104,7 @@ def _evidence(run: RunView) -> Iterator[Evidence]:
     yield from _stated(run, aligned)
     yield from _gates(run)
     yield from _sources(run, aligned)
+    yield from _adapted(run, aligned)
     yield from _declared(run)
     yield from _sensors(run)
 
@@ -301,6 +305,22 @@ def _sources(run: RunView, aligned: Solution) -> Iterator[Evidence]:
             f"{spoken(channel)} was held for faulty {len(mine)} time{'s' * (len(mine) > 1)}, "
             f"{seconds:.0f} s together, and not used then",
             "Reflections, jamming or spoofing: see the source faults for when and by how much.",
+        )
+
+
+def _adapted(run: RunView, aligned: Solution) -> Iterator[Evidence]:
+    """Sensors that were worse than they said, and were believed less for it."""
+    length_s = max((aligned.t_ns[-1] - aligned.t_ns[0]) / NS, 1.0)
+    scaled = [e for e in episodes(run.adaptation, run.origin_ns) if e.what == "R"]
+    for name in dict.fromkeys(e.channel for e in scaled):
+        mine = [e for e in scaled if e.channel == name]
+        seconds = sum(e.end_s - e.start_s for e in mine)
+        most = max(e.greatest for e in mine)
+        yield Evidence(
+            "degraded" if seconds > WORSE_DEGRADED * length_s else "good",
+            f"{spoken(Channel[name.upper()])} was believed less for {seconds:.0f} s, its variance "
+            f"up to {most:.3g} times what it should be",
+            "See when, and what the innovations looked like, under adaptation.",
         )
 
 

@@ -235,7 +235,10 @@ def test_a_receiver_that_becomes_noisy_is_told_in_words_with_its_rule(
     assert ("R of GNSS position", "innovations scatter more than expected, about zero") in [
         (cells[2], cells[4]) for cells in words
     ]
-    assert 'data-t="' in page(run, judge(run)).split('id="adaptation"')[1].split("</section>")[0]
+    judgement = judge(run)
+    assert judgement.level == "degraded"
+    assert "GNSS position was believed less" in judgement.headline
+    assert 'data-t="' in page(run, judgement).split('id="adaptation"')[1].split("</section>")[0]
 
 
 def test_a_source_fault_is_a_span_a_row_and_evidence(
