@@ -57,7 +57,8 @@ def batch_logs(
     ]
     _make_room(out)
     if scheduler is None:
-        compile_kernels()
+        compile_kernels(("filter", "files"))
+    console.print(f"Working on {len(jobs)} logs, into {escape(str(out))}")
     outcomes: list[Outcome] = []
     begin = time.monotonic()
     try:

@@ -17,8 +17,8 @@ import threading
 import traceback
 from typing import Any
 
-_PARTS = ("filter", "smoothing", "files")
-"""Kernels that most logs need; others compile when a log asks for them."""
+_PARTS = ("filter", "files")
+"""Kernels that every log needs; others compile when one asks for them."""
 
 
 def main() -> None:
