@@ -144,9 +144,9 @@ def force(s: F64, unit: int, known: F64, C: F64, z: F64, H: F64, cols: I64, y: F
     _about(s, at, f, H)
 
 
-@njit("void(f8[::1], i8[::1], i8, f8[:, ::1], i8[::1], f8[::1], f8, f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], i8, f8[:, ::1], i8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
 def relinearise_force(
-    s: F64, lay: I64, unit: int, H: F64, cols: I64, y: F64, var: float, f: F64
+    s: F64, lay: I64, unit: int, H: F64, cols: I64, y: F64, R: F64, f: F64
 ) -> None:
     """Move the point that H of :func:`force` stands for from the predicted force to the likely one.
 
@@ -157,7 +157,7 @@ def relinearise_force(
     """
     at = UNITS + UNIT_SIZE * unit
     for i in range(3):
-        f[i] += _share(s, lay, H, cols, 15, i, var) * y[i] / (1.0 + s[at + ACCEL_SCALE + i])
+        f[i] += _share(s, lay, H, cols, 15, i, R[i]) * y[i] / (1.0 + s[at + ACCEL_SCALE + i])
     _about(s, at, f, H)
 
 

@@ -27,6 +27,9 @@ LOG_LIKELIHOOD, BANK_NIS, BANK_DOF = 23, 24, 25
 LAST_FORCE_X, LAST_FORCE_Y = 26, 27
 UNITS = 28  # per IMU: gyro bias, accelerometer bias, gyro scale, accelerometer scale (3 each)
 UNIT_SIZE = 12
+# behind all units' twelve, per IMU: variance of its force beyond model and density (3), and the
+# innovation of the force refused last (3)
+SHAKE_SIZE = 6
 
 # --- integer state, offsets into k; the first two where the snapshots' owner expects them
 T_NOW, T_IMU = common.T_NOW, common.T_IMU
@@ -35,6 +38,7 @@ T_NOW, T_IMU = common.T_NOW, common.T_IMU
     T_VELOCITY_AID,
     T_OUTPUT,  # grid cell of the last output row
     T_REJECT,  # since when position aiding has been rejected without a break; 0 none
+    T_REJECT_HEIGHT,  # the same for height, by receiver and barometer alike
     RESETS,  # declared resets so far
     T_CHECK,  # sample at which the last decision above the kernel was taken
     SNAP_CELL,  # grid cell of the last snapshot
@@ -42,7 +46,7 @@ T_NOW, T_IMU = common.T_NOW, common.T_IMU
     CIRCULAR,  # 1 while the circular-motion mechanism holds the lateral acceleration
     HAVE_FORCE,  # 1 once LAST_FORCE is valid
     UNIT_TIMES,  # per IMU: last sample, last fused sample, refused samples in a row
-) = range(2, 13)
+) = range(2, 14)
 UNIT_INTS = 3
 
 # --- error state
@@ -82,7 +86,7 @@ class Layout:
     @property
     def covariance(self) -> int:
         """Offset of P in the float state."""
-        return UNITS + UNIT_SIZE * self.units
+        return UNITS + (UNIT_SIZE + SHAKE_SIZE) * self.units
 
     @property
     def size(self) -> int:

@@ -187,8 +187,8 @@ def _initial(
     s[lo.RATE_B : lo.RATE_B + 3] = imu.rows[b - 1, :3] - s[first : first + 3]
     old = phase.prior
     if old is not None:
-        # Biases and offsets outlive a reset; what it may hide doubles their deviation.
-        units = slice(lo.UNITS, lo.UNITS + lo.UNIT_SIZE * lay.units)
+        # Biases, offsets and vibration outlive a reset; what it may hide doubles their deviation.
+        units = slice(lo.UNITS, lay.covariance)
         s[units], s[lo.BARO_BIAS] = old.s[units], old.s[lo.BARO_BIAS]
         kept = slice(lo.UNIT, lo.UNIT + lo.UNIT_SIZE * lay.units)
         var[kept] = np.minimum(var[kept], 4.0 * np.diag(setup.covariance(old.s))[kept])

@@ -14,7 +14,6 @@ import numpy as np
 from companion._jit import njit
 from companion.estimation.direct import aids, inertial
 from companion.estimation.direct.layout import (
-    ACC,
     ACC_N,
     ACCEL_BIAS,
     ATT,
@@ -26,8 +25,8 @@ from companion.estimation.direct.layout import (
     L_UNITS,
     LAT,
     POS,
-    RATE,
     RESETS,
+    SHAKE_SIZE,
     SNAP_CELL,
     SNAP_COUNT,
     T_CHECK,
@@ -36,9 +35,11 @@ from companion.estimation.direct.layout import (
     T_OUTPUT,
     T_POSITION_AID,
     T_REJECT,
+    T_REJECT_HEIGHT,
     T_VELOCITY_AID,
     UNIT,
     UNIT_INTS,
+    UNIT_SIZE,
     UNIT_TIMES,
     UNITS,
     VEL,
@@ -72,6 +73,14 @@ from companion.estimation.direct.parameters import (
     U_GYRO_PSD,
     U_GYRO_VAR,
 )
+from companion.estimation.direct.surprises import (
+    MISSED_S,
+    PERSISTENT,
+    allow,
+    contradicted,
+    learn_shaking,
+    turned_round,
+)
 from companion.estimation.direct.transitions import NO_SWITCH, switch, turn
 from companion.estimation.direct.update import ACCEL, GYRO, WIDTH, fuse
 from companion.estimation.walk import (
@@ -102,15 +111,6 @@ from companion.navigation.rotation import quat_to_matrix
 from companion.types import F64, I64
 
 _BARO, _MAG, _COURSE, _NHC, _ATTITUDE = 4, 5, 6, 9, 10  # as types.Channel
-PERSISTENT = 3
-"""Refused samples of a unit in a row after which it is believed, unless another unit disagrees."""
-AGREED_NS = 200_000_000
-"""How long an accepted sample of one unit speaks against a refused one of another."""
-MISSED_S = 1.0
-"""Longest turn that attitude makes up for once its rate is believed."""
-SURPRISE = 4.0
-"""A persistent surprise is a motion beyond the model: its square, times this, is what the model
-allows for once."""
 
 
 @njit("void(f8[::1], i8[::1], i8[::1], f8[::1], f8[:, ::1], i8, f8[:, ::1])", cache=True)
@@ -124,33 +124,6 @@ def move_to(s: F64, k: I64, lay: I64, par: F64, slow: F64, t: int, W: F64) -> No
         spread(s, lay, par, slow, span / steps, W)
         carry(s, lay, par, slow, span / steps)
     k[T_NOW] = t
-
-
-@njit("b1(i8[::1], i8[::1], i8, i8)", cache=True)
-def _contradicted(k: I64, lay: I64, unit: int, t: int) -> bool:
-    """Whether another unit was accepted just now: then it is this one that errs."""
-    for other in range(lay[L_UNITS]):
-        if other != unit and k[UNIT_TIMES + UNIT_INTS * other + 1] > t - AGREED_NS:
-            return True
-    return False
-
-
-@njit("void(f8[::1], i8[::1], i8, f8[::1], f8)", cache=True)
-def _allow(s: F64, lay: I64, half: int, y: F64, since: float) -> None:
-    """Widen rate (``half`` 0) or acceleration by the size of a surprise ``y`` (3,).
-
-    ``since`` [s]: what was refused so long was a turn, which attitude has to make up for.
-    """
-    n = lay[L_N]
-    P = s[lay[L_P] : lay[L_P] + n * n].reshape((n, n))
-    var = SURPRISE * (y[0] * y[0] + y[1] * y[1] + y[2] * y[2])
-    first = RATE if half == 0 else ACC
-    for i in range(3):
-        P[first + i, first + i] += var
-        if half == 0:
-            P[ATT + i, ATT + i] += var * since * since
-            P[ATT + i, RATE + i] += var * since
-            P[RATE + i, ATT + i] += var * since
 
 
 @njit(
@@ -184,8 +157,9 @@ def fuse_unit(
     R = np.empty(3)
     f = np.empty(3)
     at = UNIT_TIMES + UNIT_INTS * unit
-    dt = (t - k[at]) * 1e-9 if k[at] > 0 else LONGEST_S
-    dt = z[6] if z[6] > 0.0 else min(max(dt, SHORTEST_S), LONGEST_S)
+    shake = UNITS + UNIT_SIZE * lay[L_UNITS] + SHAKE_SIZE * unit
+    age = (t - k[at]) * 1e-9 if k[at] > 0 else LONGEST_S
+    dt = z[6] if z[6] > 0.0 else min(max(age, SHORTEST_S), LONGEST_S)
     told = k[at] > 0 and t // ipar[REPORT_NS] == k[at] // ipar[REPORT_NS]
     k[at] = t
     known = units[unit]
@@ -200,14 +174,19 @@ def fuse_unit(
             quat_to_matrix(s, C)
             inertial.force(s, unit, known, C, z[3:6], H, cols, y, f)
             var, nc, channel = known[U_ACCEL_PSD] / dt + known[U_ACCEL_VAR], 15, ACCEL
-            inertial.relinearise_force(s, lay, unit, H, cols, y, var, f)
         for i in range(3):
-            R[i] = var
+            R[i] = var + s[shake + i] * half
+        if half == 1:
+            inertial.relinearise_force(s, lay, unit, H, cols, y, R, f)
         ok = fuse(s, lay, par, ipar, channel, unit, H, cols, nc, y, R, 3, W, reports[count])
-        if not ok and k[at + 2] >= PERSISTENT and not _contradicted(k, lay, unit, t):
+        if half == 1 and ipar[BANK] == 0:
+            learn_shaking(s, shake, reports[count], age)
+            if not ok and turned_round(s, shake, y):
+                k[at + 2] = 0
+        if not ok and k[at + 2] >= PERSISTENT and not contradicted(k, lay, unit, t):
             # No noise lasts that long: the vehicle does what the model did not foresee.
             since = min((t - k[at + 1]) * 1e-9, MISSED_S)
-            _allow(s, lay, half, y, since)
+            allow(s, lay, half, y, since)
             ok = fuse(s, lay, par, ipar, channel, unit, H, cols, nc, y, R, 3, W, reports[count])
         good = good and ok
         if not (ok and told):
@@ -218,6 +197,15 @@ def fuse_unit(
     else:
         k[at + 2] += 1
     return count
+
+
+@njit("void(i8[::1], b1, i8)", cache=True)
+def _note_height(k: I64, good: bool, t: int) -> None:
+    """Since when every height has been refused."""
+    if good:
+        k[T_REJECT_HEIGHT] = 0
+    elif k[T_REJECT_HEIGHT] == 0:
+        k[T_REJECT_HEIGHT] = t
 
 
 @njit(
@@ -275,6 +263,8 @@ def fuse_gnss(
                 k[T_REJECT] = 0
             elif k[T_REJECT] == 0:
                 k[T_REJECT] = t
+        elif half == 1:
+            _note_height(k, good, t)
         elif half == 2 and good:
             k[T_VELOCITY_AID] = t
     speed = math.hypot(z[A_VELOCITY], z[A_VELOCITY + 1])
@@ -344,7 +334,9 @@ def fuse_aid(
             )
     if nc == 0:
         return count
-    fuse(s, lay, par, ipar, channel, kind[1], H, cols, nc, y, R, m, W, reports[count])
+    good = fuse(s, lay, par, ipar, channel, kind[1], H, cols, nc, y, R, m, W, reports[count])
+    if channel == _BARO and (good or k[T_REJECT_HEIGHT] > 0):
+        _note_height(k, good, t)
     reports_t[count] = t
     return count + 1
 
@@ -397,7 +389,10 @@ def doubtful(s: F64, k: I64, lay: I64, par: F64, ipar: I64) -> bool:
     n = lay[L_N]
     if ipar[BANK] == 1 or s[lay[L_P]] + s[lay[L_P] + n + 1] > par[DIVERGED_VAR]:
         return True
-    return bool(k[T_REJECT] > 0 and k[T_IMU] - k[T_REJECT] > ipar[RELOCK_NS])
+    for since in (k[T_REJECT], k[T_REJECT_HEIGHT]):
+        if since > 0 and k[T_IMU] - since > ipar[RELOCK_NS]:
+            return True
+    return False
 
 
 @njit("void(f8[::1], i8[::1], i8[::1], f8[:, ::1], i8[:, ::1])", cache=True)

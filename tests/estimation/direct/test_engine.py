@@ -92,6 +92,24 @@ def test_a_gap_is_carried_by_the_model_with_growing_deviations(flight: Simulatio
     assert solution.mode[-1] == Mode.NAVIGATING
 
 
+def test_an_engine_that_shakes_the_airframe_does_not_move_the_height(flight: Simulation) -> None:
+    """Samples of ±30 m/s² at 4 Hz, ten times what the configuration knows, from 20 s on."""
+    recording, config = _slow(flight, {"attitude": True})
+    (imu,) = recording.imu
+    rng = np.random.default_rng(7)
+    shaken = imu.accel_b.copy()
+    late = imu.t_ns > imu.t_ns[0] + 20e9
+    shaken[late, 2] += 30.0 * rng.standard_normal(late.sum())
+    _, solution = _settled(replace(recording, imu=(replace(imu, accel_b=shaken),)), config, 10.0)
+    truth = recording.truth
+    assert truth is not None
+    height = np.interp(solution.t_ns, truth.t_ns, truth.height)
+    off = np.abs(solution.height - height)
+    assert off.max() < 5.0 * solution.sd[:, 0, 2].max()
+    assert off.max() < 20.0
+    assert solution.resets[-1] == 0
+
+
 def test_what_is_no_number_is_refused_and_a_smoother_gets_a_reason(flight: Simulation) -> None:
     recording, config = _slow(flight, {"attitude": True})
     imu, attitude = recording.imu[0], recording.attitude[0]
