@@ -22,13 +22,17 @@ def run_demo(console: Console, directory: Path, seconds: float, imu_hz: float) -
     """Fly, show what happens, compare live with replay; what ``--json`` prints."""
     compile_kernels(["filter", "simulator", "smoothing"])
     with present.notice_if_slow(console, "Loading …"):
+        from replay.children import free_port
         from replay.demo.flight import Files, fly
     files = Files(directory)
     console.print(
         f"Starting three processes for {seconds:g} s: a simulated vehicle (CAN IMU behind an slcan "
         "adapter, autopilot over MAVLink), the companion, and a zenoh subscriber …"
     )
-    figures = fly(files, seconds, imu_hz, _Teller(console))
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    console.print("See it while it flies, from another terminal:")
+    console.print(f"  companion watch --web --connect {endpoint}", highlight=False)
+    figures = fly(files, seconds, imu_hz, endpoint, _Teller(console))
     figures = plain({"seconds": seconds, "directory": str(directory), **figures})
     _show(console, figures)
     _show_next(console, files)

@@ -11,7 +11,7 @@ from typing import Any
 
 from companion.config import Config, to_toml
 from companion.types import AidingReports, CompanionError, Solution, VehicleRecording
-from replay.children import Child, free_port
+from replay.children import Child
 from replay.configuration import choose_config
 from replay.demo.figures import (
     LATENCY,
@@ -93,16 +93,20 @@ class Moment:
 
 
 def fly(
-    files: Files, seconds: float, imu_hz: float, watch: Callable[[Moment | None], None]
+    files: Files,
+    seconds: float,
+    imu_hz: float,
+    endpoint: str,
+    watch: Callable[[Moment | None], None],
 ) -> dict[str, Any]:
     """Run vehicle, companion and subscriber for ``seconds``; the figures of what came of it.
 
-    ``watch`` is told about each second as it passes, None while nothing is published yet. Raises
-    :class:`CompanionError` if one of the processes fails; all are ended in any case.
+    ``endpoint``: zenoh's, where the companion listens. ``watch`` is told about each second as it
+    passes, None while nothing is published yet. Raises :class:`CompanionError` if one of the
+    processes fails; all are ended in any case.
     """
     files.directory.mkdir(parents=True, exist_ok=True)
     flight_s = max(seconds + SPARE_S, LEAST_FLIGHT_S)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
     with ExitStack() as stack:
         device = files.directory / "can"
         vehicle = stack.enter_context(_vehicle(files, device, flight_s, imu_hz))
