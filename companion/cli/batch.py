@@ -67,6 +67,11 @@ def batch_logs(
                 outcomes.append(outcome)
                 _say(console, outcome)
                 update(len(outcomes) / len(jobs))
+    except KeyboardInterrupt:
+        console.print(
+            f"Interrupted with {len(outcomes)} of {len(jobs)} logs done; the same command goes on"
+        )
+        raise
     finally:
         # An interrupted batch shows what it has.
         wall_s = time.monotonic() - begin

@@ -5,6 +5,8 @@ Dask is imported here only, when a batch begins: it is an extra (``batch``).
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -18,6 +20,7 @@ _IN_FLIGHT = 2
 """Jobs for each thread: one at work, one so near that nobody waits for the network."""
 _CONNECT_S = 15.0
 _WORKERS_S = 60.0
+_GONE = "the Dask scheduler is gone; with another one the same command goes on from here"
 
 
 def run(jobs: Sequence[Job], scheduler: str | None, workers: int) -> Iterator[Outcome]:
@@ -35,6 +38,8 @@ def run(jobs: Sequence[Job], scheduler: str | None, workers: int) -> Iterator[Ou
     with _client(distributed, scheduler, workers) as client:
         try:
             yield from _through(distributed, client, jobs)
+        except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError):
+            raise CompanionError(_GONE) from None
         finally:
             if scheduler is not None and client.status == "running":
                 client.run(end_idle_children)
@@ -43,9 +48,11 @@ def run(jobs: Sequence[Job], scheduler: str | None, workers: int) -> Iterator[Ou
 @contextmanager
 def _client(distributed: Any, scheduler: str | None, workers: int) -> Iterator[Any]:
     """A client of the cluster, or of threads in this process that each drive a child."""
-    # What goes wrong comes back as an outcome; its log would come between the lines for people.
-    for name in ("distributed", "tornado"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    # What goes wrong comes back as an outcome or an error; its log would come between the lines for
+    # people. Each of Dask's loggers has a level of its own.
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith(("distributed", "tornado")):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     if scheduler is None:
         CHILDREN.begin()
         cluster = distributed.LocalCluster(
@@ -113,4 +120,4 @@ def _outcome(future: Any, job: Job) -> Outcome:
         error = future.exception()
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return failed(job.log, job.path, f"its Dask worker failed: {text}")
-    raise CompanionError("the Dask scheduler is gone; the same command goes on from here")
+    raise CompanionError(_GONE)

@@ -191,6 +191,23 @@ def test_no_more_logs_are_under_way_than_the_workers_can_take(
     assert most <= 4
 
 
+def test_a_scheduler_that_goes_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        worker,
+        "_found_or_made",
+        lambda job: Outcome(log=job.log, path=job.path, ended="done", reused=True),
+    )
+    jobs = [_job(tmp_path / str(at), tmp_path, 1.0) for at in range(60)]
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        outcomes = scheduling.run(jobs, cluster.scheduler_address, 1)
+        next(outcomes)
+        cluster.close()
+        with pytest.raises(CompanionError, match="scheduler is gone"):
+            list(outcomes)
+
+
 def test_no_scheduler_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scheduling, "_CONNECT_S", 1.0)
     with pytest.raises(CompanionError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:1"):
