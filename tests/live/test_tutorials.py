@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -25,10 +26,10 @@ def place(tmp_path: Path, root: Path) -> Path:
     commands = tmp_path / ".venv" / "bin"
     commands.mkdir(parents=True)
     (commands / "activate").write_text("")
-    (commands / "python").symlink_to(sys.executable)
-    command = commands / "companion"
-    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m companion "$@"\n')
-    command.chmod(0o755)
+    for name, words in (("python", ""), ("companion", "-m companion")):
+        command = commands / name
+        command.write_text(f'#!/bin/sh\nexec {sys.executable} {words} "$@"\n')
+        command.chmod(0o755)
     return tmp_path
 
 
@@ -41,12 +42,17 @@ def _beside(stack: ExitStack, words: list[str], place: Path, environment: dict[s
             process_group=0,
         )  # fmt: skip
     stack.enter_context(child)
-    stack.callback(lambda: os.killpg(child.pid, 15))
+    stack.callback(_end, child.pid)
     until = time.monotonic() + PATIENCE_S
     while not re.search("ready|Published", said.read_text()):
         assert child.poll() is None
         assert time.monotonic() < until
         time.sleep(0.1)
+
+
+def _end(group: int) -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGTERM)
 
 
 @pytest.mark.slow
