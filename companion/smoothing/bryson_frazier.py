@@ -16,11 +16,8 @@ Where P was multiplied by α² (FLAC), λ and Λ are too, going back, and δx st
 
 from __future__ import annotations
 
-import numpy as np
-
 from companion._jit import njit
 from companion.estimation.covariance import STRIDE
-from companion.estimation.receiver_clock import carry_clock, carry_clock_back
 from companion.estimation.tape import (
     C_STEP,
     F32,
@@ -40,21 +37,22 @@ from companion.estimation.tape import (
     read_step,
 )
 from companion.navigation.error_model import transition_blocks
-from companion.navigation.layout import (
-    ATT,
-    L_ACCEL_SCALE,
-    L_CLOCK,
-    L_GYRO_SCALE,
-    L_N,
-)
+from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_N
 from companion.smoothing.composite import (
+    S_D,
+    S_DECAY,
+    S_H,
+    S_LAM,
+    S_P,
+    S_U,
+    S_V,
+    S_X,
     WIDTH,
     begin,
     flush,
     smoothed_blocks,
     step_back,
-    turn_back,
-    update_back,
+    take_back,
 )
 from companion.smoothing.transition import (
     carry,
@@ -65,32 +63,33 @@ from companion.smoothing.transition import (
 )
 from companion.types import F64, I64
 
-
-@njit("void(f8[:, ::1], f8[::1], i8, i8)", cache=True)
-def turn_transposed(X: F64, g: F64, at: int, cols: int) -> None:
-    """``X`` ← Gᵀ X on the attitude rows from ``at`` on; ``g`` corrects φ, see update.py."""
-    x, y, z = 0.5 * g[0], 0.5 * g[1], g[2]
-    for j in range(cols):
-        a, b, c = X[at, j], X[at + 1, j], X[at + 2, j]
-        X[at, j] = a + z * b - y * c
-        X[at + 1, j] = b - z * a + x * c
-        X[at + 2, j] = c + y * a - x * b
+_CHUNK = "i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[::1]"
+"""Numba's types of what every kernel takes first: the columns of exactly one chunk, how many
+numbers of P lie with each row, layout and parameters, a state as scratch with the Earth's rate in
+place, and the scratch of composite.py."""
 
 
-@njit("void(f8[::1], f8[::1], i8)", cache=True)
-def turn(dx: F64, g: F64, at: int) -> None:
-    """``dx`` ← G dx on the attitude rows from ``at`` on."""
-    x, y, z = 0.5 * g[0], 0.5 * g[1], g[2]
-    a, b, c = dx[at], dx[at + 1], dx[at + 2]
-    dx[at] = a - z * b + y * c
-    dx[at + 1] = b + z * a - x * c
-    dx[at + 2] = c - y * a + x * b
+@njit("void(f8[::1], f8[::1])", cache=True, counted=False)
+def turn_transposed(x: F64, g: F64) -> None:
+    """``x`` (n,) ← Gᵀ x; ``g`` corrects φ, see update.py."""
+    u, v, w = 0.5 * g[0], 0.5 * g[1], g[2]
+    a, b, c = x[ATT], x[ATT + 1], x[ATT + 2]
+    x[ATT] = a + w * b - v * c
+    x[ATT + 1] = b - w * a + u * c
+    x[ATT + 2] = c + v * a - u * b
 
 
-@njit(
-    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
-    cache=True,
-)
+@njit("void(f8[::1], f8[::1])", cache=True, counted=False)
+def turn(x: F64, g: F64) -> None:
+    """``x`` (n,) ← G x."""
+    u, v, w = 0.5 * g[0], 0.5 * g[1], g[2]
+    a, b, c = x[ATT], x[ATT + 1], x[ATT + 2]
+    x[ATT] = a - w * b + v * c
+    x[ATT + 1] = b + w * a - u * c
+    x[ATT + 2] = c - v * a + u * b
+
+
+@njit(f"void({_CHUNK}, f8[::1], f8[:, ::1])", cache=True, counted=False)
 def backward(
     kinds: I8,
     coarse: F32,
@@ -99,66 +98,54 @@ def backward(
     lay: I64,
     par: F64,
     s: F64,
+    scratch: F64,
     lam: F64,
     steps: F64,
 ) -> None:
-    """Take λ, ``lam`` (n, 1), from the end of a chunk to its start, in place.
+    """Take λ, ``lam`` (n,), from the end of a chunk to its start, in place.
 
-    The slices hold exactly the chunk, and ``triangle`` numbers of P with each row. ``s`` is scratch
-    with the Earth's rate in place; ``steps`` (≥ steps of the chunk, n) keeps λ̃ after each step, for
-    :func:`forward`.
+    ``steps`` (steps of the chunk, n) keeps λ̃ after each step, for :func:`forward`.
     """
     n = lay[L_N]
-    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
-    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
-    B = np.empty((24, 3, 3))
-    d = np.empty(n)
-    x = lam.reshape(n)
-    c, f = coarse.shape[0], fine.shape[0]
-    m = 0
-    for i in range(kinds.shape[0]):
-        m += kinds[i] == STEP
+    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    B = scratch[:S_D].reshape((24, 3, 3))
+    d, H = scratch[S_D : S_D + n], scratch[S_H : S_H + n]
+    c, f, m = coarse.shape[0], fine.shape[0], steps.shape[0]
     for i in range(kinds.shape[0] - 1, -1, -1):
         kind = kinds[i]
         if kind == STEP:
             m -= 1
             c -= C_STEP
             f -= size
+            T = float(fine[f])
+            for j in range(n):
+                steps[m, j] = lam[j]
             read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
-            decay_factors(float(fine[f]), lay, par, d)
-            for j in range(n):
-                steps[m, j] = x[j]
-                x[j] *= d[j]
-            carry_back(B, i_sa, i_sg, x)
-            if clock >= 0:
-                carry_clock_back(float(fine[f]), x[clock:])
+            decay_factors(T, lay, par, d)
+            carry_back(B, lay, T, d, lam)
         elif kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
             r = fine[f + F_R]
             g = r * fine[f + F_Y]
             for j in range(n):
-                g += fine[f + F_GAIN + j] * x[j]
+                g += fine[f + F_GAIN + j] * lam[j]
             g *= r
-            read_h(fine[f:], n, d)
+            read_h(fine[f:], n, H)
             for j in range(n):
-                x[j] -= d[j] * g
+                lam[j] -= H[j] * g
         elif kind == TURN:
             f -= F_TURN
-            turn_transposed(lam, fine[f : f + F_TURN], ATT, 1)
+            turn_transposed(lam, fine[f:])
         elif kind == FADE:
             f -= F_FADE
             for j in range(n):
-                x[j] *= fine[f]
+                lam[j] *= fine[f]
         else:
             c -= triangle
 
 
-@njit(
-    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1],"
-    "f8[:, ::1])",
-    cache=True,
-)
+@njit(f"void({_CHUNK}, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True, counted=False)
 def forward(
     kinds: I8,
     coarse: F32,
@@ -167,63 +154,52 @@ def forward(
     lay: I64,
     par: F64,
     s: F64,
+    scratch: F64,
     dx: F64,
     steps: F64,
     rows: F64,
 ) -> None:
-    """Take the smoothed error, ``dx`` (n, 1), from the start of a chunk to its end, in place.
+    """Take the smoothed error, ``dx`` (n,), from the start of a chunk to its end, in place.
 
     At a chunk's start it is −P λ̂. ``rows`` (rows of the chunk, n) is filled with the error to add
     to the forward solution at each output row.
     """
     n = lay[L_N]
-    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
-    size = F_STEP_WITH_SCALE if i_sa >= 0 else F_STEP
-    B = np.empty((24, 3, 3))
-    d, q = np.empty(n), np.empty(n)
-    out = np.empty(9)
-    x = dx.reshape(n)
+    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    B = scratch[:S_D].reshape((24, 3, 3))
+    d, q = scratch[S_D : S_D + n], scratch[S_H : S_H + n]
     c, f, m, row = 0, 0, 0, 0
     for i in range(kinds.shape[0]):
         kind = kinds[i]
         if kind == STEP:
-            numbers, T = coarse[c : c + C_STEP], fine[f]
+            numbers, T = coarse[c : c + C_STEP], float(fine[f])
             read_step(numbers, fine[f : f + size], s)
             transition_blocks(s, B)
             decay_factors(T, lay, par, d)
             noise_diagonal(numbers, T, lay, par, d, q)
-            carry(B, i_sa, i_sg, x, out)
-            if clock >= 0:
-                carry_clock(T, 1.0, x[clock:])
-            for j in range(9):
-                x[j] = out[j]
-            for j in range(9, n):
-                x[j] *= d[j]
-            subtract_noise(numbers, T, lay, par, q, steps[m], x)
+            carry(B, lay, T, d, dx)
+            subtract_noise(numbers, T, lay, par, q, steps[m], dx)
             c += C_STEP
             f += size
             m += 1
         elif kind >= UPDATE:
             y = fine[f + F_R] * fine[f + F_Y]
             for j in range(n):
-                x[j] -= fine[f + F_GAIN + j] * y
+                dx[j] -= fine[f + F_GAIN + j] * y
             f += F_GAIN + n + kind - UPDATE
         elif kind == TURN:
-            turn(x, fine[f : f + F_TURN], ATT)
+            turn(dx, fine[f:])
             f += F_TURN
         elif kind == FADE:
             f += F_FADE
         else:
             for j in range(n):
-                rows[row, j] = x[j]
+                rows[row, j] = dx[j]
             row += 1
             c += triangle
 
 
-@njit(
-    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1])",
-    cache=True,
-)
+@njit(f"void({_CHUNK}, f8[:, ::1], f8[:, ::1])", cache=True, counted=False)
 def backward_covariance(
     kinds: I8,
     coarse: F32,
@@ -232,25 +208,27 @@ def backward_covariance(
     lay: I64,
     par: F64,
     s: F64,
+    scratch: F64,
     Lam: F64,
     rows: F64,
 ) -> None:
     """Take Λ, ``Lam`` (n, n), from the end of a chunk to its start, in place.
 
-    ``rows`` (rows of the chunk, 5, 6) is filled with the covariance blocks of the smoothed errors,
-    as :attr:`companion.types.Solution.cov`. The tape must carry P with its rows.
+    ``rows`` (rows of the chunk, 30) is filled with the covariance blocks of the smoothed errors, as
+    :attr:`companion.types.Solution.cov`. The tape must carry P with its rows.
     """
     n = lay[L_N]
     size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
-    B = np.empty((24, 3, 3))
-    d, w, D = np.empty(n), np.empty(n), np.ones(n)
-    X, Z = np.zeros(n * WIDTH), np.empty(9 * WIDTH)
-    L, U = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
-    V, P = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
+    B = scratch[:S_D].reshape((24, 3, 3))
+    d, w, D = scratch[S_D : S_D + n], scratch[S_H : S_H + n], scratch[S_DECAY : S_DECAY + n]
+    X = scratch[S_X : S_X + n * WIDTH]
+    P, L = scratch[S_P : S_P + n * STRIDE], scratch[S_LAM : S_LAM + n * STRIDE]
+    U, V = scratch[S_U : S_U + n * STRIDE], scratch[S_V : S_V + n * STRIDE]
     for j in range(n):
         for k in range(n):
             L[j * STRIDE + k] = Lam[j, k]
     begin(X, lay)
+    D[:] = 1.0
     pending = False
     c, f, row = coarse.shape[0], fine.shape[0], rows.shape[0]
     for i in range(kinds.shape[0] - 1, -1, -1):
@@ -258,10 +236,11 @@ def backward_covariance(
         if kind == STEP:
             c -= C_STEP
             f -= size
+            T = float(fine[f])
             read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
             transition_blocks(s, B)
-            decay_factors(float(fine[f]), lay, par, d)
-            step_back(B, lay, float(fine[f]), d, X, D, Z)
+            decay_factors(T, lay, par, d)
+            step_back(B, lay, T, d, X, D)
             pending = True
             continue
         if pending:
@@ -269,24 +248,19 @@ def backward_covariance(
             pending = False
         if kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
-            read_h(fine[f:], n, d)
-            update_back(L, d, fine[f + F_GAIN : f + F_GAIN + n], fine[f + F_R], n, w)
-        elif kind == TURN:
-            f -= F_TURN
-            turn_back(L, X, fine[f : f + F_TURN], n)
-        elif kind == FADE:
-            f -= F_FADE
-            for j in range(n * STRIDE):
-                L[j] *= fine[f]
+            take_back(kind, fine[f:], n, X, L, d, w)
+        elif kind in (TURN, FADE):
+            f -= F_TURN if kind == TURN else F_FADE
+            take_back(kind, fine[f:], n, X, L, d, w)
         else:
             row -= 1
             c -= triangle
             at = c
             for j in range(n):
                 for k in range(j, n):
-                    P[j * STRIDE + k] = P[k * STRIDE + j] = coarse[at]
-                    at += 1
-            smoothed_blocks(P, L, n, V, rows[row].reshape(30))
+                    P[j * STRIDE + k] = P[k * STRIDE + j] = coarse[at + k - j]
+                at += n - j
+            smoothed_blocks(P, L, n, V, rows[row])
     if pending:
         flush(X, D, L, lay, U, V)
     for j in range(n):

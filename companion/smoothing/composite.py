@@ -13,12 +13,17 @@ vector code of the inner loops.
 
 from __future__ import annotations
 
+import numpy as np
+
 from companion._jit import njit
 from companion.estimation.covariance import STRIDE
+from companion.estimation.tape import F_GAIN, F_R, F_Y, FADE, TURN, UPDATE, read_h
 from companion.navigation.layout import (
+    ACCEL_BIAS,
     ATT,
     BIAS,
     DRIFT,
+    GYRO_BIAS,
     L_ACCEL_SCALE,
     L_CLOCK,
     L_GYRO_SCALE,
@@ -34,8 +39,20 @@ LAM = 9
 OF_BIAS, OF_DRIFT = 10, 11
 """Columns of Ψᵀ for the receiver's clock, where there is one."""
 
+# --- entries of the scratch that the smoothers' kernels are given, which make no arrays themselves:
+# blocks of Φ, lines, X, matrices in rows of STRIDE
+S_BLOCKS, S_D, S_H, S_DECAY, S_DX = 0, 216, 216 + STRIDE, 216 + 2 * STRIDE, 216 + 3 * STRIDE
+S_X = S_DX + STRIDE
+S_P, S_LAM, S_U, S_V = (S_X + STRIDE * WIDTH + i * STRIDE * STRIDE for i in range(4))
+SCRATCH = S_V + STRIDE * STRIDE
 
-@njit("void(f8[::1], i8[::1])", cache=True)
+
+def scratch() -> F64:
+    """Room for one smoother: zeros, as leftovers that are not numbers would be slow."""
+    return np.zeros(SCRATCH)
+
+
+@njit("void(f8[::1], i8[::1])", cache=True, counted=False)
 def begin(X: F64, lay: I64) -> None:
     """``X`` (n · WIDTH,) ← Ψ = I; λ stays."""
     n, clock = lay[L_N], lay[L_CLOCK]
@@ -51,64 +68,20 @@ def begin(X: F64, lay: I64) -> None:
         X[(clock + DRIFT) * WIDTH + OF_DRIFT] = 1.0
 
 
-@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
-def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64, Y: F64) -> None:
+@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
+def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64) -> None:
     """``X`` ← Φᵀ diag(d) ``X`` and ``D`` ← ``D`` ∘ d: one step further back.
 
-    ``B``: blocks of Φ over ``T`` [s]; ``D`` (n,): the decays so far; ``Y`` (9 · WIDTH,) is scratch.
+    ``B``: blocks of Φ over ``T`` [s]; ``D`` (n,): the decays so far. The biases' products are
+    shared as in transition.py.
     """
     n, i_sa, i_sg = lay[L_N], lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    for i in range(9 * WIDTH):
-        Y[i] = X[i]
-    for i in range(9, n):
-        g = d[i]
-        if g != 1.0:
-            D[i] *= g
+    for i in range(15, n):
+        if d[i] != 1.0:
+            D[i] *= d[i]
             row = X[i * WIDTH :]
             for j in range(WIDTH):
-                row[j] *= g
-    for i in range(3):
-        a0, a1, a2 = B[3, 0, i], B[3, 1, i], B[3, 2, i]
-        b0, b1, b2 = B[11, 0, i], B[11, 1, i], B[11, 2, i]
-        row = X[(9 + i) * WIDTH :]
-        for j in range(WIDTH):
-            row[j] += (a0 * Y[j] + a1 * Y[WIDTH + j] + a2 * Y[2 * WIDTH + j]) + (
-                b0 * Y[3 * WIDTH + j] + b1 * Y[4 * WIDTH + j] + b2 * Y[5 * WIDTH + j]
-            )
-        a0, a1, a2 = B[4, 0, i], B[4, 1, i], B[4, 2, i]
-        b0, b1, b2 = B[12, 0, i], B[12, 1, i], B[12, 2, i]
-        c0, c1, c2 = B[20, 0, i], B[20, 1, i], B[20, 2, i]
-        row = X[(12 + i) * WIDTH :]
-        for j in range(WIDTH):
-            row[j] += (
-                (a0 * Y[j] + a1 * Y[WIDTH + j] + a2 * Y[2 * WIDTH + j])
-                + (b0 * Y[3 * WIDTH + j] + b1 * Y[4 * WIDTH + j] + b2 * Y[5 * WIDTH + j])
-                + (c0 * Y[6 * WIDTH + j] + c1 * Y[7 * WIDTH + j] + c2 * Y[8 * WIDTH + j])
-            )
-        b0, b1, b2 = B[9, 0, i], B[9, 1, i], B[9, 2, i]
-        c0, c1, c2 = B[17, 0, i], B[17, 1, i], B[17, 2, i]
-        row, own = X[(3 + i) * WIDTH :], Y[i * WIDTH :]
-        for j in range(WIDTH):
-            row[j] = (
-                T * own[j]
-                + (b0 * Y[3 * WIDTH + j] + b1 * Y[4 * WIDTH + j] + b2 * Y[5 * WIDTH + j])
-                + (c0 * Y[6 * WIDTH + j] + c1 * Y[7 * WIDTH + j] + c2 * Y[8 * WIDTH + j])
-            )
-        a0, a1, a2 = B[2, 0, i], B[2, 1, i], B[2, 2, i]
-        b0, b1, b2 = B[10, 0, i], B[10, 1, i], B[10, 2, i]
-        c0, c1, c2 = B[18, 0, i], B[18, 1, i], B[18, 2, i]
-        row = X[(6 + i) * WIDTH :]
-        for j in range(WIDTH):
-            row[j] = (
-                (a0 * Y[j] + a1 * Y[WIDTH + j] + a2 * Y[2 * WIDTH + j])
-                + (b0 * Y[3 * WIDTH + j] + b1 * Y[4 * WIDTH + j] + b2 * Y[5 * WIDTH + j])
-                + (c0 * Y[6 * WIDTH + j] + c1 * Y[7 * WIDTH + j] + c2 * Y[8 * WIDTH + j])
-            )
-        a0, a1, a2 = B[0, 0, i], B[0, 1, i], B[0, 2, i]
-        g = B[8, 2, i]
-        row = X[i * WIDTH :]
-        for j in range(WIDTH):
-            row[j] = a0 * Y[j] + a1 * Y[WIDTH + j] + a2 * Y[2 * WIDTH + j] + g * Y[5 * WIDTH + j]
+                row[j] *= d[i]
     if i_sa >= 0:
         for at, block, up in (
             (i_sa, 5, 0), (i_sa, 13, 3), (i_sg, 6, 0), (i_sg, 14, 3), (i_sg, 22, 6),
@@ -117,7 +90,7 @@ def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64, Y: F64) -> Non
                 row = X[(at + i) * WIDTH :]
                 for k in range(3):
                     g = B[block, k, i]
-                    own = Y[(up + k) * WIDTH :]
+                    own = X[(up + k) * WIDTH :]
                     for j in range(WIDTH):
                         row[j] += g * own[j]
     if lay[L_CLOCK] >= 0:
@@ -127,9 +100,55 @@ def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64, Y: F64) -> Non
         for j in range(WIDTH):
             ramp[j] += 0.5 * T * T * bias[j] + T * drift[j]
             drift[j] += T * bias[j]
+    for i in range(ACCEL_BIAS, GYRO_BIAS + 3):
+        D[i] *= d[i]
+    da, dg = d[ACCEL_BIAS], d[GYRO_BIAS]
+    half, third = 0.5 * T, T / 3.0
+    pa, pb, pc = B[0, 0, 0], B[0, 0, 2], B[0, 1, 0]
+    pd, pe, g = B[0, 1, 1], B[0, 1, 2], B[8, 2, 2]
+    px, py, pz = B[2, 1, 2], B[2, 2, 0], B[2, 0, 1]
+    va, vb, vc = B[9, 0, 0], B[9, 0, 1], B[9, 0, 2]
+    vd, ve, vf = B[9, 1, 0], B[9, 1, 1], B[9, 1, 2]
+    vg, vh = B[9, 2, 0], B[9, 2, 1]
+    vx, vy, vz = B[10, 1, 2], B[10, 2, 0], B[10, 0, 1]
+    c0, c1, c2 = B[11, 0, 0], B[11, 0, 1], B[11, 0, 2]
+    c3, c4, c5 = B[11, 1, 0], B[11, 1, 1], B[11, 1, 2]
+    c6, c7, c8 = B[11, 2, 0], B[11, 2, 1], B[11, 2, 2]
+    d0, d1, d2 = B[12, 0, 0], B[12, 0, 1], B[12, 0, 2]
+    d3, d4, d5 = B[12, 1, 0], B[12, 1, 1], B[12, 1, 2]
+    d6, d7, d8 = B[12, 2, 0], B[12, 2, 1], B[12, 2, 2]
+    ha, hb, hc = B[17, 0, 1], B[17, 1, 0], B[17, 2, 1]
+    wx, wy, wz = B[18, 1, 2], B[18, 2, 0], B[18, 0, 1]
+    for j in range(WIDTH):
+        p0, p1, p2 = X[j], X[WIDTH + j], X[2 * WIDTH + j]
+        v0, v1, v2 = X[3 * WIDTH + j], X[4 * WIDTH + j], X[5 * WIDTH + j]
+        a0, a1, a2 = X[6 * WIDTH + j], X[7 * WIDTH + j], X[8 * WIDTH + j]
+        u0, u1, u2 = v0 + half * p0, v1 + half * p1, v2 + half * p2
+        X[9 * WIDTH + j] = da * X[9 * WIDTH + j] + (c0 * u0 + c3 * u1 + c6 * u2)
+        X[10 * WIDTH + j] = da * X[10 * WIDTH + j] + (c1 * u0 + c4 * u1 + c7 * u2)
+        X[11 * WIDTH + j] = da * X[11 * WIDTH + j] + (c2 * u0 + c5 * u1 + c8 * u2)
+        u0, u1, u2 = v0 + third * p0, v1 + third * p1, v2 + third * p2
+        X[12 * WIDTH + j] = dg * X[12 * WIDTH + j] + (
+            (d0 * u0 + d3 * u1 + d6 * u2) + (c0 * a0 + c3 * a1 + c6 * a2)
+        )
+        X[13 * WIDTH + j] = dg * X[13 * WIDTH + j] + (
+            (d1 * u0 + d4 * u1 + d7 * u2) + (c1 * a0 + c4 * a1 + c7 * a2)
+        )
+        X[14 * WIDTH + j] = dg * X[14 * WIDTH + j] + (
+            (d2 * u0 + d5 * u1 + d8 * u2) + (c2 * a0 + c5 * a1 + c8 * a2)
+        )
+        X[j] = pa * p0 + pc * p1
+        X[WIDTH + j] = pd * p1
+        X[2 * WIDTH + j] = pb * p0 + pe * p1 + p2 + g * v2
+        X[3 * WIDTH + j] = (T * p0 + va * v0 + vd * v1 + vg * v2) + hb * a1
+        X[4 * WIDTH + j] = (T * p1 + vb * v0 + ve * v1 + vh * v2) + (ha * a0 + hc * a2)
+        X[5 * WIDTH + j] = T * p2 + vc * v0 + vf * v1 + v2
+        X[6 * WIDTH + j] = (py * p2 - pz * p1) + (vy * v2 - vz * v1) + (a0 + wy * a2 - wz * a1)
+        X[7 * WIDTH + j] = (pz * p0 - px * p2) + (vz * v0 - vx * v2) + (a1 + wz * a0 - wx * a2)
+        X[8 * WIDTH + j] = (px * p1 - py * p0) + (vx * v1 - vy * v0) + (a2 + wx * a1 - wy * a0)
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], i8[::1], b1, f8[::1])", cache=True)
+@njit("void(f8[::1], f8[::1], f8[::1], i8[::1], b1, f8[::1])", cache=True, counted=False)
 def _apply(X: F64, D: F64, L: F64, lay: I64, lower: bool, U: F64) -> None:
     """``U`` ← Ψᵀ ``L``, both (n · STRIDE,); with ``lower`` at least the lower half."""
     n, clock = lay[L_N], lay[L_CLOCK]
@@ -160,7 +179,7 @@ def _apply(X: F64, D: F64, L: F64, lay: I64, lower: bool, U: F64) -> None:
                 out[j] += of_bias * bias[j] + of_drift * drift[j]
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
+@njit("void(f8[::1], f8[::1], f8[::1], i8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def flush(X: F64, D: F64, Lam: F64, lay: I64, U: F64, V: F64) -> None:
     """``Lam`` ← Ψᵀ ``Lam`` Ψ, symmetric to the bit; then Ψ = I again.
 
@@ -179,7 +198,7 @@ def flush(X: F64, D: F64, Lam: F64, lay: I64, U: F64, V: F64) -> None:
     D[:] = 1.0
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], f8, i8, f8[::1])", cache=True)
+@njit("void(f8[::1], f8[::1], f8[::1], f8, i8, f8[::1])", cache=True, counted=False)
 def update_back(Lam: F64, H: F64, gain: F64, r: float, n: int, w: F64) -> None:
     """``Lam`` ← Hᵀ r² H + (I − K H)ᵀ Lam (I − K H) with K = ``gain`` r; ``w`` (n,) is scratch.
 
@@ -208,7 +227,7 @@ def update_back(Lam: F64, H: F64, gain: F64, r: float, n: int, w: F64) -> None:
                 Lam[j * STRIDE + i] += h * w[j]
 
 
-@njit("void(f8[::1], f8[::1], f8[::1], i8)", cache=True)
+@njit("void(f8[::1], f8[::1], f8[::1], i8)", cache=True, counted=False)
 def turn_back(Lam: F64, X: F64, g: F64, n: int) -> None:
     """``Lam`` ← Gᵀ ``Lam`` G and λ ← Gᵀ λ; ``g`` corrects φ, see update.py."""
     x, y, z = 0.5 * g[0], 0.5 * g[1], g[2]
@@ -234,7 +253,33 @@ def turn_back(Lam: F64, X: F64, g: F64, n: int) -> None:
                 Lam[j * STRIDE + i] = Lam[i * STRIDE + j]
 
 
-@njit("void(f8[::1], f8[::1], i8, f8[::1], f8[::1])", cache=True)
+@njit("void(i8, f8[::1], i8, f8[::1], f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
+def take_back(kind: int, record: F64, n: int, X: F64, Lam: F64, H: F64, w: F64) -> None:
+    """λ, in ``X``, and ``Lam`` back over an update, turn or fade on the tape.
+
+    ``H``, ``w`` (n,) are scratch.
+    """
+    if kind >= UPDATE:
+        r = record[F_R]
+        gain = record[F_GAIN : F_GAIN + n]
+        g = r * record[F_Y]
+        for j in range(n):
+            g += gain[j] * X[j * WIDTH + LAM]
+        g *= r
+        read_h(record, n, H)
+        for j in range(n):
+            X[j * WIDTH + LAM] -= H[j] * g
+        update_back(Lam, H, gain, r, n, w)
+    elif kind == TURN:
+        turn_back(Lam, X, record, n)
+    elif kind == FADE:
+        for j in range(n):
+            X[j * WIDTH + LAM] *= record[0]
+        for j in range(n * STRIDE):
+            Lam[j] *= record[0]
+
+
+@njit("void(f8[::1], f8[::1], i8, f8[::1], f8[::1])", cache=True, counted=False)
 def smoothed_blocks(P: F64, Lam: F64, n: int, M: F64, out: F64) -> None:
     """``out`` (30,): the published blocks of P − P Λ P, upper triangles one after the other.
 

@@ -23,6 +23,7 @@ from companion.estimation.walk import ROW_SIZE
 from companion.navigation import layout as lo
 from companion.outlet import solution_of
 from companion.smoothing import intervals as iv
+from companion.smoothing.composite import scratch
 from companion.types import F64, I64, NS, Event, Flags, Smoothed
 
 ROOM = 512
@@ -37,6 +38,7 @@ class FixedLag:
         smoothing = config.smoothing
         self._lay = par.layout(config).vector()
         self._par = par.parameter_vector(config)
+        self._scratch = scratch()
         self._window = smoothing.window
         self._longest_ns = round(smoothing.longest_interval_s * NS)
         self._ring_ns = round(config.engine.delay_ring_s * NS)
@@ -119,7 +121,8 @@ class FixedLag:
             count = iv.give_out(
                 tape.kinds, tape.coarse, tape.fine, position(f.k), settled_ns, last,
                 self._longest_ns, self._gaps, self._marks, self._scan, self._progress,
-                self._lay, self._par, s, self._t, self._until, self._rows, self._smoothed,
+                self._lay, self._par, s, self._scratch,
+                self._t, self._until, self._rows, self._smoothed,
             )  # fmt: skip
             wanted = int(self._progress[iv.WANTED])
             if count:

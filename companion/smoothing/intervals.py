@@ -29,7 +29,7 @@ TIME, ROWS, MARK = 3, 4, 5
 KNOWN, FAILED, WANTED, GIVEN, PROGRESS = 0, 1, 2, 3, 4
 
 
-@njit("i8(i1[::1], f8[::1], i8[::1], i8, i8, i8, i8[::1], i8[::1])", cache=True)
+@njit("i8(i1[::1], f8[::1], i8[::1], i8, i8, i8, i8[::1], i8[::1])", cache=True, counted=False)
 def next_boundary(
     kinds: I8,
     fine: F64,
@@ -74,7 +74,11 @@ def next_boundary(
     return -1
 
 
-@njit("void(i1[::1], f8[::1], i8[::1], i8[::1], i8[::1], i8[::1], f8[:, ::1])", cache=True)
+@njit(
+    "void(i1[::1], f8[::1], i8[::1], i8[::1], i8[::1], i8[::1], f8[:, ::1])",
+    cache=True,
+    counted=False,
+)
 def as_filtered(kinds: I8, fine: F64, lay: I64, a: I64, b: I64, t: I64, rows: F64) -> None:
     """The rows of the tape from ``a`` to ``b`` as the filter had them, into ``t`` and ``rows``."""
     n = lay[L_N]
@@ -90,7 +94,7 @@ def as_filtered(kinds: I8, fine: F64, lay: I64, a: I64, b: I64, t: I64, rows: F6
 
 @njit(
     "i8(i1[::1], f4[::1], f8[::1], i8[::1], i8, b1, i8, i8[:, ::1], i8[:, ::1], i8[::1], i8[::1],"
-    "i8[::1], f8[::1], f8[::1], i8[::1], i8[::1], f8[:, ::1], b1[::1])",
+    "i8[::1], f8[::1], f8[::1], f8[::1], i8[::1], i8[::1], f8[:, ::1], b1[::1])",
     cache=True,
 )
 def give_out(
@@ -108,6 +112,7 @@ def give_out(
     lay: I64,
     par: F64,
     s: F64,
+    scratch: F64,
     t: I64,
     until: I64,
     rows: F64,
@@ -160,7 +165,7 @@ def give_out(
             skip |= gaps[k, 0] <= youngest < gaps[k, 1]
         if not skip:
             done = smooth_window(
-                kinds, coarse, fine, marks[0], tail, newest, lay, par, s,
+                kinds, coarse, fine, marks[0], tail, newest, lay, par, s, scratch,
                 t[own], rows[own], smoothed[own],
             )  # fmt: skip
             skip = done == BROKEN

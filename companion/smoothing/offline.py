@@ -14,11 +14,12 @@ import numpy as np
 from companion.config import Config
 from companion.estimation import parameters as par
 from companion.estimation.recording import Chunk, Tape
-from companion.estimation.tape import STEP
+from companion.estimation.tape import F32, I8, STEP
 from companion.navigation import layout as lo
 from companion.smoothing import bryson_frazier, rts
+from companion.smoothing.composite import scratch
 from companion.smoothing.correction import correct, from_rows, published_blocks
-from companion.types import F64, CompanionError, Solution
+from companion.types import F64, I64, CompanionError, Solution
 
 Method = Literal["bryson-frazier", "rts"]
 
@@ -50,39 +51,38 @@ class _Smoother:
         self.n = layout.n
         self.lay = layout.vector()
         self.par = par.parameter_vector(config)
+        self._scratch = scratch()
 
     def bryson_frazier(self, tape: Tape) -> list[Solution]:
         n = self.n
-        lam, Lam = np.zeros((n, 1)), np.zeros((n, n))
+        lam, Lam = np.zeros(n), np.zeros((n, n))
         parts: list[Solution] = []
         for chunk in reversed(tape.chunks):
-            triangle = n * (n + 1) // 2 if tape.covariance else 0
-            s = chunk.s.copy()
-            columns = (chunk.kinds, chunk.coarse, chunk.fine, triangle, self.lay, self.par, s)
+            columns = self._columns(tape, chunk)
             steps = np.empty((int(np.count_nonzero(chunk.kinds == STEP)), n))
             rows = np.empty((len(chunk.t_ns), n))
-            cov = np.full((len(rows), 5, 6), np.nan)
-            bryson_frazier.backward(*columns, lam, steps)
+            cov = np.full((len(rows), 30), np.nan)
+            bryson_frazier.backward(*columns, self._scratch, lam, steps)
             P = chunk.s[lo.P :].reshape(n, n)
-            bryson_frazier.forward(*columns, -(P[:, :, None] * lam).sum(axis=1), steps, rows)
+            dx = -(P * lam).sum(axis=1)
+            bryson_frazier.forward(*columns, self._scratch, dx, steps, rows)
             if tape.covariance:
-                bryson_frazier.backward_covariance(*columns, Lam, cov)
-            parts.append(self._corrected(chunk, rows, cov))
+                bryson_frazier.backward_covariance(*columns, self._scratch, Lam, cov)
+            parts.append(self._corrected(chunk, rows, cov.reshape(-1, 5, 6)))
         return parts[::-1]
 
     def rts(self, tape: Tape) -> list[Solution]:
         n = self.n
-        triangle = n * (n + 1) // 2 if tape.covariance else 0
         dx = np.zeros(n)
         Ps: F64 | None = None
         after: Chunk | None = None
         parts: list[Solution] = []
         for chunk in reversed(tape.chunks):
             count = rts.count_runs(chunk.kinds)
-            before, foreseen, gains = (np.empty((count, n, n)) for _ in range(3))
-            columns = (chunk.kinds, chunk.coarse, chunk.fine, triangle, self.lay)
+            before, foreseen = (np.empty((count, n, n)) for _ in range(2))
+            columns = self._columns(tape, chunk)
             P = chunk.s[lo.P :].reshape(n, n).copy()
-            rts.covariances(*columns, self.par, chunk.s.copy(), P, before, foreseen, gains)
+            rts.covariances(*columns, P, before, foreseen)
             if Ps is None or after is None:
                 Ps = P
             elif after.widened:
@@ -90,11 +90,17 @@ class _Smoother:
                 C = np.linalg.solve(wide, P).T
                 dx, Ps = C @ dx, P + C @ (Ps - wide) @ C.T
             rows, cov = np.empty((len(chunk.t_ns), n)), np.empty((len(chunk.t_ns), n, n))
-            if not rts.backward(*columns, before, foreseen, gains, dx, Ps, rows, cov):
+            if not rts.backward(*columns, before, foreseen, dx, Ps, rows, cov):
                 raise SmoothingError("a covariance on the tape is not positive definite")
             parts.append(self._corrected(chunk, rows, published_blocks(cov)))
             after = chunk
         return parts[::-1]
+
+    def _columns(self, tape: Tape, chunk: Chunk) -> tuple[I8, F32, F64, int, I64, F64, F64]:
+        """What every kernel takes of a chunk first."""
+        triangle = self.n * (self.n + 1) // 2 if tape.covariance else 0
+        s = chunk.s.copy()
+        return chunk.kinds, chunk.coarse, chunk.fine, triangle, self.lay, self.par, s
 
     def _corrected(self, chunk: Chunk, dx: F64, cov: F64) -> Solution:
         """Forward solution ⊞ smoothed error at the rows of a chunk."""

@@ -1,12 +1,12 @@
 """The Rauch-Tung-Striebel smoother over a recorded tape: the reference for the one without inverse.
 
-    C = P Φᵀ (P⁻)⁻¹ ,  δx = C δx⁻ ,  P_s = P + C (P_s⁻ − P⁻) Cᵀ        over a step
+    C = P Ψᵀ (P⁻)⁻¹ ,  δx = C δx⁻ ,  P_s = P + C (P_s⁻ − P⁻) Cᵀ        over a run of steps
     δx⁻ = δx + K y                                                      over an update
 
-around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). P and P⁻ are had again by
-walking a chunk of the tape forward from its P. Where P was multiplied by α² (FLAC), the gain over
-the step is α² P Φᵀ (P⁻)⁻¹: δx passes the weighting, and P_s is that much smaller before. Steps
-with nothing between them are taken as one, by the product of their transitions.
+around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). Steps with nothing between
+them are taken as one, by the product Ψ of their transitions (composite.py). P and P⁻ are had again
+by walking a chunk of the tape forward from its P. Where P was multiplied by α² (FLAC), the gain
+over the step is α² P Φᵀ (P⁻)⁻¹: δx passes the weighting, and P_s is that much smaller before.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ import math
 import numpy as np
 
 from companion._jit import njit
-from companion.estimation.covariance import apply_transition
-from companion.estimation.receiver_clock import carry_clock
+from companion.estimation.covariance import STRIDE, apply_transition
 from companion.estimation.tape import (
     C_STEP,
     F32,
@@ -39,55 +38,61 @@ from companion.estimation.update import reset_covariance
 from companion.navigation.error_model import transition_blocks
 from companion.navigation.layout import (
     ATT,
-    CLOCK_STATES,
+    DRIFT,
     L_ACCEL_SCALE,
     L_CLOCK,
     L_GYRO_SCALE,
     L_N,
+    RAMP,
 )
+from companion.smoothing.composite import OF_BIAS, OF_DRIFT, WIDTH, begin, step_back
 from companion.smoothing.transition import add_noise, decay_factors, noise_diagonal
 from companion.types import F64, I64
 
 
-@njit("b1(f8[:, ::1], f8[:, ::1], i8)", cache=True)
-def factor(A: F64, L: F64, n: int) -> bool:
-    """Lower Cholesky factor of ``A`` in ``L``; False where ``A`` is not positive definite.
+@njit("b1(f8[:, ::1], i8)", cache=True, counted=False)
+def factor(A: F64, n: int) -> bool:
+    """``A`` (n, ≥ n) ← Lᵀ with A = L Lᵀ, in its upper half; False where not positive definite.
 
-    A state without any variance is known: its row and column of ``L`` are zero.
+    A state without any variance is known: its row of Lᵀ is zero.
     """
-    for i in range(n):
-        for j in range(i + 1):
-            x = A[i, j]
-            for k in range(j):
-                x -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = x / L[j, j] if L[j, j] > 0.0 else 0.0
-            elif A[i, i] == 0.0:
-                L[i, i] = 0.0
-            elif x > 0.0:
-                L[i, i] = math.sqrt(x)
-            else:
-                return False
+    for k in range(n):
+        if A[k, k] > 0.0:
+            g = 1.0 / math.sqrt(A[k, k])
+            for j in range(k, n):
+                A[k, j] *= g
+        elif A[k, k] == 0.0:
+            for j in range(k, n):
+                A[k, j] = 0.0
+        else:
+            return False
+        for i in range(k + 1, n):
+            # A known state stays at its zero, whatever rounding says of what it has with others.
+            g = A[k, i] if A[i, i] != 0.0 else 0.0
+            for j in range(i, n):
+                A[i, j] -= g * A[k, j]
     return True
 
 
-@njit("void(f8[:, ::1], f8[:, ::1], i8)", cache=True)
-def solve(L: F64, X: F64, n: int) -> None:
-    """``X`` (n, n) ← (L Lᵀ)⁻¹ X in place, zero for states that are known."""
+@njit("void(f8[:, ::1], f8[:, ::1], i8)", cache=True, counted=False)
+def solve(U: F64, X: F64, n: int) -> None:
+    """``X`` (n, n) ← (Uᵀ U)⁻¹ X in place, zero for states that are known."""
     for i in range(n):
-        for k in range(i):
-            g = L[i, k]
-            for j in range(n):
-                X[i, j] -= g * X[k, j]
+        g = 1.0 / U[i, i] if U[i, i] > 0.0 else 0.0
         for j in range(n):
-            X[i, j] = X[i, j] / L[i, i] if L[i, i] > 0.0 else 0.0
-    for i in range(n - 1, -1, -1):
+            X[i, j] *= g
         for k in range(i + 1, n):
-            g = L[k, i]
+            g = U[i, k]
             for j in range(n):
-                X[i, j] -= g * X[k, j]
+                X[k, j] -= g * X[i, j]
+    for i in range(n - 1, -1, -1):
+        g = 1.0 / U[i, i] if U[i, i] > 0.0 else 0.0
         for j in range(n):
-            X[i, j] = X[i, j] / L[i, i] if L[i, i] > 0.0 else 0.0
+            X[i, j] *= g
+        for k in range(i):
+            g = U[k, i]
+            for j in range(n):
+                X[k, j] -= g * X[i, j]
 
 
 @njit("b1(i1[::1], i8)", cache=True)
@@ -105,38 +110,43 @@ def count_runs(kinds: I8) -> int:
     return int(count)
 
 
-@njit("void(f8[:, :, ::1], i8[::1], f8, f8[:, ::1], f8[:, ::1])", cache=True)
-def _transit(B: F64, lay: I64, T: float, X: F64, Y: F64) -> None:
-    """``X`` (n, n) ← Φ ``X`` over ``T`` [s]; ``Y`` (9, n) is scratch."""
-    n, clock = lay[L_N], lay[L_CLOCK]
-    apply_transition(B, lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], X, n, Y)
-    for j in range(9):
-        for k in range(n):
-            X[j, k] = Y[j, k]
-    if clock >= 0:
-        own = np.empty(CLOCK_STATES)
-        for k in range(n):
-            for j in range(CLOCK_STATES):
-                own[j] = X[clock + j, k]
-            carry_clock(T, 1.0, own)
-            for j in range(CLOCK_STATES):
-                X[clock + j, k] = own[j]
-
-
 @njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True)
-def _carry(B: F64, lay: I64, T: float, d: F64, X: F64, Y: F64) -> None:
-    """``X`` (n, n) ← D Φ ``X`` over ``T`` [s]; ``Y`` (9, n) is scratch."""
-    n = lay[L_N]
-    _transit(B, lay, T, X, Y)
-    for j in range(9, n):
-        if d[j] != 1.0:
-            for k in range(n):
-                X[j, k] *= d[j]
+def _carry(B: F64, lay: I64, T: float, d: F64, P: F64, W: F64) -> None:
+    """``P`` (n, STRIDE) ← D Φ P Φᵀ D over ``T`` [s]; ``W`` (n + 9, STRIDE) is scratch."""
+    n, i_sa, i_sg = lay[L_N], lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    X, Y = W[:n], W[n:]
+    apply_transition(B, i_sa, i_sg, P, n, Y)
+    for k in range(n):
+        for j in range(9):
+            X[k, j] = Y[j, k]
+    for i in range(9):
+        for j in range(9, n):
+            P[i, j] = P[j, i] = Y[i, j]
+    apply_transition(B, i_sa, i_sg, X, 9, Y)
+    for i in range(9):
+        for j in range(i + 1):
+            P[i, j] = P[j, i] = Y[i, j]
+    clock = lay[L_CLOCK]
+    if clock >= 0:
+        # Φ of the clock from both sides, as receiver_clock.carry_clock.
+        half = 0.5 * T * T
+        for j in range(n):
+            P[clock, j] += T * P[clock + DRIFT, j] + half * P[clock + RAMP, j]
+            P[clock + DRIFT, j] += T * P[clock + RAMP, j]
+        for j in range(n):
+            P[j, clock] += T * P[j, clock + DRIFT] + half * P[j, clock + RAMP]
+            P[j, clock + DRIFT] += T * P[j, clock + RAMP]
+    for i in range(9, n):
+        if d[i] != 1.0:
+            for j in range(n):
+                P[i, j] *= d[i]
+            for j in range(n):
+                P[j, i] *= d[i]
 
 
 @njit(
     "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1])",
+    "f8[:, :, ::1])",
     cache=True,
 )
 def covariances(
@@ -150,75 +160,56 @@ def covariances(
     P: F64,
     before: F64,
     foreseen: F64,
-    gains: F64,
 ) -> None:
     """Walk ``P`` (n, n) over a chunk, in place.
 
-    For each run of steps without anything between them, ``before`` gets P (n, n), ``foreseen`` P⁻
-    and ``gains`` Ψ P with Ψ = D_m Φ_m … D_1 Φ_1, of which Cᵀ is (P⁻)⁻¹ Ψ P.
+    For each run of steps without anything between them, ``before`` gets P (n, n) in front of it and
+    ``foreseen`` P⁻ behind it. ``s`` is scratch with the Earth's rate in place.
     """
     n = lay[L_N]
     size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     B = np.empty((24, 3, 3))
     d, q, dx = np.empty(n), np.empty(n), np.zeros(n)
-    X, Y = np.empty((n, n)), np.empty((9, n))
+    A, W = np.zeros((n, STRIDE)), np.zeros((n + 9, STRIDE))
+    A[:, :n] = P
     c, f, m = 0, 0, 0
     inside = False
     for i in range(kinds.shape[0]):
         kind = kinds[i]
         if kind == STEP:
-            numbers, T = coarse[c : c + C_STEP], fine[f]
+            if not inside:
+                before[m] = A[:, :n]
+            inside = not last_of_run(kinds, i)
+            numbers, T = coarse[c : c + C_STEP], float(fine[f])
             read_step(numbers, fine[f : f + size], s)
             transition_blocks(s, B)
             decay_factors(T, lay, par, d)
+            _carry(B, lay, T, d, A, W)
             noise_diagonal(numbers, T, lay, par, d, q)
-            G = gains[m]
-            if inside:
-                _carry(B, lay, T, d, G, Y)
-            else:
-                for j in range(n):
-                    for k in range(n):
-                        before[m, j, k] = P[j, k]
-            _carry(B, lay, T, d, P, Y)
-            if not inside:
-                for j in range(n):
-                    for k in range(n):
-                        G[j, k] = P[j, k]
-            inside = True
-            for j in range(n):
-                for k in range(n):
-                    X[k, j] = P[j, k]
-            _transit(B, lay, T, X, Y)
-            for j in range(n):
-                for k in range(j, n):
-                    P[j, k] = P[k, j] = X[j, k] * d[j]
-            add_noise(numbers, T, lay, par, q, P)
-            if last_of_run(kinds, i):
-                for j in range(n):
-                    for k in range(n):
-                        foreseen[m, j, k] = P[j, k]
-                m += 1
-                inside = False
+            add_noise(numbers, T, lay, par, q, A)
             c += C_STEP
             f += size
+            if not inside:
+                foreseen[m] = A[:, :n]
+                m += 1
         elif kind >= UPDATE:
             gain = fine[f + F_GAIN : f + F_GAIN + n]
             for j in range(n):
+                g = gain[j]
                 for k in range(n):
-                    P[j, k] -= gain[j] * gain[k]
+                    A[j, k] -= g * gain[k]
             f += F_GAIN + n + kind - UPDATE
         elif kind == TURN:
             for j in range(3):
                 dx[ATT + j] = fine[f + j]
-            reset_covariance(P, dx, n)
+            reset_covariance(A, dx, n)
             f += F_TURN
         elif kind == FADE:
-            for j in range(n):
-                for k in range(n):
-                    P[j, k] *= fine[f]
+            A *= fine[f]
             f += F_FADE
         else:
             c += triangle
+    P[:] = A[:, :n]
 
 
 @njit("void(f8[::1], f8[:, ::1], f8[::1], i8)", cache=True)
@@ -251,23 +242,54 @@ def _turn_back(dx: F64, Ps: F64, g: F64, n: int) -> None:
                     Ps[j, ATT + i] = t[i]
 
 
-@njit("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8)", cache=True)
-def _smooth_covariance(A: F64, D: F64, P: F64, Ps: F64, W: F64, n: int) -> None:
-    """``Ps`` ← P + C (Ps − P⁻) Cᵀ with ``A`` = Cᵀ and ``D`` = P⁻ Cᵀ; ``W`` (n, n) is scratch."""
-    for j in range(n):
+@njit("void(f8[::1], f8[::1], i8[::1], f8[:, ::1], f8[:, ::1])", cache=True, counted=False)
+def _predicted(X: F64, D: F64, lay: I64, P: F64, A: F64) -> None:
+    """``A`` ← Ψ ``P``, both (n, STRIDE); ``X`` and ``D`` as composite.py has Ψᵀ."""
+    n, clock = lay[L_N], lay[L_CLOCK]
+    wide = (n + 3) // 4 * 4
+    for i in range(9, n):
+        for j in range(wide):
+            A[i, j] = D[i] * P[i, j]
+    for i in range(9):
+        for j in range(wide):
+            A[i, j] = 0.0
         for k in range(n):
+            g = X[k * WIDTH + i]
+            for j in range(wide):
+                A[i, j] += g * P[k, j]
+    if clock >= 0:
+        drift, ramp = clock + DRIFT, clock + RAMP
+        for j in range(wide):
+            A[clock, j] += X[drift * WIDTH + OF_BIAS] * P[drift, j]
+            A[clock, j] += X[ramp * WIDTH + OF_BIAS] * P[ramp, j]
+            A[drift, j] += X[ramp * WIDTH + OF_DRIFT] * P[ramp, j]
+
+
+@njit(
+    "void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], i8)",
+    cache=True,
+    counted=False,
+)
+def _smooth_covariance(A: F64, D: F64, P: F64, Ps: F64, W: F64, n: int) -> None:
+    """``Ps`` ← P + C (Ps − P⁻) Cᵀ with ``A`` = Cᵀ and ``D`` = P⁻ Cᵀ; ``W`` is scratch.
+
+    All (n, STRIDE).
+    """
+    wide = (n + 3) // 4 * 4
+    for j in range(n):
+        for k in range(wide):
             W[j, k] = -D[j, k]
         for q in range(n):
             g = Ps[j, q]
-            for k in range(n):
+            for k in range(wide):
                 W[j, k] += g * A[q, k]
     for j in range(n):
-        for k in range(n):
+        for k in range(wide):
             Ps[j, k] = P[j, k]
     for q in range(n):
         for j in range(n):
             g = A[q, j]
-            for k in range(n):
+            for k in range(wide):
                 Ps[j, k] += g * W[q, k]
     for j in range(n):
         for k in range(j):
@@ -275,8 +297,8 @@ def _smooth_covariance(A: F64, D: F64, P: F64, Ps: F64, W: F64, n: int) -> None:
 
 
 @njit(
-    "b1(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
+    "b1(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
+    "f8[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
     cache=True,
 )
 def backward(
@@ -285,9 +307,10 @@ def backward(
     fine: F64,
     triangle: int,
     lay: I64,
+    par: F64,
+    s: F64,
     before: F64,
     foreseen: F64,
-    gains: F64,
     dx: F64,
     Ps: F64,
     rows: F64,
@@ -295,32 +318,43 @@ def backward(
 ) -> bool:
     """Take the smoothed error and its covariance from a chunk's end to its start, in place.
 
-    ``dx`` (n,), ``Ps`` (n, n); ``before``, ``foreseen``, ``gains`` come from :func:`covariances`,
-    and the last is spoilt. ``rows`` (rows, n) and ``cov_rows`` (rows, n, n) are filled at output
-    rows. False where a P⁻ is not positive definite.
+    ``dx`` (n,), ``Ps`` (n, n); ``before`` and ``foreseen`` come from :func:`covariances`. ``rows``
+    (rows, n) and ``cov_rows`` (rows, n, n) are filled at output rows. False where a P⁻ is not
+    positive definite.
     """
     n = lay[L_N]
     size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
-    L, D = np.empty((n, n)), np.empty((n, n))
-    t = np.empty(n)
-    c, f = coarse.shape[0], fine.shape[0]
-    row = rows.shape[0]
+    B = np.empty((24, 3, 3))
+    d, t, decay = np.empty(n), np.empty(n), np.ones(n)
+    X = np.zeros(n * WIDTH)
+    A, D, U = np.zeros((n, STRIDE)), np.zeros((n, STRIDE)), np.zeros((n, STRIDE))
+    S, P = np.zeros((n, STRIDE)), np.zeros((n, STRIDE))
+    S[:, :n] = Ps
+    begin(X, lay)
+    c, f, row = coarse.shape[0], fine.shape[0], rows.shape[0]
     m = count_runs(kinds)
     for i in range(kinds.shape[0] - 1, -1, -1):
         kind = kinds[i]
         if kind == STEP:
             c -= C_STEP
             f -= size
-            if not last_of_run(kinds, i):
+            T = float(fine[f])
+            read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
+            transition_blocks(s, B)
+            decay_factors(T, lay, par, d)
+            step_back(B, lay, T, d, X, decay)
+            if i > 0 and kinds[i - 1] == STEP:
                 continue
             m -= 1
-            if not factor(foreseen[m], L, n):
+            P[:, :n] = before[m]
+            U[:, :n] = foreseen[m]
+            if not factor(U, n):
                 return False
-            A = gains[m]  # D Φ P, becomes Cᵀ
-            for j in range(n):
-                for k in range(n):
-                    D[j, k] = A[j, k]
-            solve(L, A, n)
+            _predicted(X, decay, lay, P, A)
+            begin(X, lay)
+            decay[:] = 1.0
+            D[:] = A
+            solve(U, A, n)  # is Cᵀ now
             for j in range(n):
                 t[j] = 0.0
             for k in range(n):
@@ -328,7 +362,7 @@ def backward(
                     t[j] += A[k, j] * dx[k]
             for j in range(n):
                 dx[j] = t[j]
-            _smooth_covariance(A, D, before[m], Ps, L, n)
+            _smooth_covariance(A, D, P, S, U, n)
         elif kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
             y = fine[f + F_R] * fine[f + F_Y]
@@ -336,17 +370,14 @@ def backward(
                 dx[j] += fine[f + F_GAIN + j] * y
         elif kind == TURN:
             f -= F_TURN
-            _turn_back(dx, Ps, fine[f : f + F_TURN], n)
+            _turn_back(dx, S, fine[f:], n)
         elif kind == FADE:
             f -= F_FADE
-            for j in range(n):
-                for k in range(n):
-                    Ps[j, k] /= fine[f]
+            S /= fine[f]
         else:
-            row -= 1
             c -= triangle
-            for j in range(n):
-                rows[row, j] = dx[j]
-                for k in range(n):
-                    cov_rows[row, j, k] = Ps[j, k]
+            row -= 1
+            rows[row] = dx
+            cov_rows[row] = S[:, :n]
+    Ps[:] = S[:, :n]
     return True

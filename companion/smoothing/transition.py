@@ -1,14 +1,14 @@
 """Φ of a recorded step and its transpose, applied by the blocks that exist.
 
 The whole transition of a step is D Φ: strapdown error over the interval, then the Gauss-Markov
-decay D of the slow states. The noise Q is laid out as in covariance.py.
+decay D of the slow states. What the biases do to position, velocity and attitude is one product
+each: p ← b_a is T/2 of v ← b_a, p ← b_g is T/3 of v ← b_g, and φ ← b_g is v ← b_a. The noise Q is
+laid out as in covariance.py.
 """
 
 from __future__ import annotations
 
 import math
-
-import numpy as np
 
 from companion._jit import njit
 from companion.estimation.parameters import (
@@ -22,16 +22,23 @@ from companion.estimation.parameters import (
     GYRO_BIAS_PSD,
     GYRO_BIAS_TAU,
 )
-from companion.estimation.receiver_clock import clock_cross_noise, clock_noise
+from companion.estimation.receiver_clock import (
+    carry_clock,
+    carry_clock_back,
+    clock_cross_noise,
+    clock_noise,
+)
 from companion.estimation.tape import C_LET_GO, C_NOISE_A, C_NOISE_B, C_NOISE_V, F32
 from companion.navigation.layout import (
     ACCEL_BIAS,
     ATT,
     DRIFT,
     GYRO_BIAS,
+    L_ACCEL_SCALE,
     L_BARO,
     L_CLOCK,
     L_GNSS,
+    L_GYRO_SCALE,
     POS,
     RAMP,
     VEL,
@@ -39,54 +46,95 @@ from companion.navigation.layout import (
 from companion.types import F64, I64
 
 
-@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True)
+@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True, counted=False)
 def _row(B: F64, block: int, i: int, x: F64, at: int) -> float:
     """Row ``i`` of a block times three elements of ``x``."""
     return float(B[block, i, 0] * x[at] + B[block, i, 1] * x[at + 1] + B[block, i, 2] * x[at + 2])
 
 
-@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True)
+@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True, counted=False)
 def _column(B: F64, block: int, i: int, x: F64, at: int) -> float:
     """Column ``i`` of a block times three elements of ``x``."""
     return float(B[block, 0, i] * x[at] + B[block, 1, i] * x[at + 1] + B[block, 2, i] * x[at + 2])
 
 
-@njit("void(f8[:, :, ::1], i8, i8, f8[::1], f8[::1])", cache=True)
-def carry(B: F64, i_sa: int, i_sg: int, x: F64, y: F64) -> None:
-    """``y`` (9,) ← rows p, v, φ of Φ times ``x`` (n,)."""
+@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1])", cache=True, counted=False)
+def carry(B: F64, lay: I64, T: float, d: F64, x: F64) -> None:
+    """``x`` (n,) ← diag(d) Φ ``x`` in place, ``B`` the blocks of Φ over ``T`` [s]."""
+    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
+    half, third = 0.5 * T, T / 3.0
+    p0, p1, p2 = x[0], x[1], x[2]
+    v0, v1, v2 = x[3], x[4], x[5]
+    a0, a1, a2 = x[6], x[7], x[8]
+    x[0] = B[0, 0, 0] * p0 + B[0, 0, 2] * p2 + T * v0
+    x[1] = B[0, 1, 0] * p0 + B[0, 1, 1] * p1 + B[0, 1, 2] * p2 + T * v1
+    x[2] = p2 + T * v2
+    px, py, pz = B[2, 1, 2], B[2, 2, 0], B[2, 0, 1]
+    x[0] += pz * a1 - py * a2
+    x[1] += px * a2 - pz * a0
+    x[2] += py * a0 - px * a1
     for i in range(3):
-        y[i] = _row(B, 0, i, x, 0) + B[1, i, i] * x[3 + i] + _row(B, 2, i, x, 6)
-        y[i] += _row(B, 3, i, x, 9) + _row(B, 4, i, x, 12)
-        y[3 + i] = B[8, i, 2] * x[2] + _row(B, 9, i, x, 3) + _row(B, 10, i, x, 6)
-        y[3 + i] += _row(B, 11, i, x, 9) + _row(B, 12, i, x, 12)
-        y[6 + i] = _row(B, 17, i, x, 3) + _row(B, 18, i, x, 6) + _row(B, 20, i, x, 12)
+        x[3 + i] = B[9, i, 0] * v0 + B[9, i, 1] * v1 + B[9, i, 2] * v2
+        x[3 + i] += B[10, i, 0] * a0 + B[10, i, 1] * a1 + B[10, i, 2] * a2
+        x[6 + i] = B[18, i, 0] * a0 + B[18, i, 1] * a1 + B[18, i, 2] * a2
+        u, t = _row(B, 11, i, x, ACCEL_BIAS), _row(B, 12, i, x, GYRO_BIAS)
+        x[i] += half * u + third * t
+        x[3 + i] += u + t
+        x[6 + i] += _row(B, 11, i, x, GYRO_BIAS)
         if i_sa >= 0:
-            y[i] += _row(B, 5, i, x, i_sa) + _row(B, 6, i, x, i_sg)
-            y[3 + i] += _row(B, 13, i, x, i_sa) + _row(B, 14, i, x, i_sg)
-            y[6 + i] += _row(B, 22, i, x, i_sg)
+            x[i] += _row(B, 5, i, x, i_sa) + _row(B, 6, i, x, i_sg)
+            x[3 + i] += _row(B, 13, i, x, i_sa) + _row(B, 14, i, x, i_sg)
+            x[6 + i] += _row(B, 22, i, x, i_sg)
+    x[5] += B[8, 2, 2] * p2
+    x[6] += B[17, 0, 1] * v1
+    x[7] += B[17, 1, 0] * v0
+    x[8] += B[17, 2, 1] * v1
+    if clock >= 0:
+        carry_clock(T, 1.0, x[clock:])
+    for j in range(9, x.shape[0]):
+        x[j] *= d[j]
 
 
-@njit("void(f8[:, :, ::1], i8, i8, f8[::1])", cache=True)
-def carry_back(B: F64, i_sa: int, i_sg: int, x: F64) -> None:
-    """``x`` (n,) ← Φᵀ ``x`` in place: what does not need p, v, φ as they were goes last."""
-    v, a = np.empty(3), np.empty(3)
-    for i in range(3):
-        x[9 + i] += _column(B, 3, i, x, 0) + _column(B, 11, i, x, 3)
-        x[12 + i] += _column(B, 4, i, x, 0) + _column(B, 12, i, x, 3) + _column(B, 20, i, x, 6)
-        if i_sa >= 0:
+@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1])", cache=True, counted=False)
+def carry_back(B: F64, lay: I64, T: float, d: F64, x: F64) -> None:
+    """``x`` (n,) ← Φᵀ diag(d) ``x`` in place: what does not need p, v, φ as they were goes last."""
+    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
+    for j in range(9, x.shape[0]):
+        x[j] *= d[j]
+    if clock >= 0:
+        carry_clock_back(T, x[clock:])
+    if i_sa >= 0:
+        for i in range(3):
             x[i_sa + i] += _column(B, 5, i, x, 0) + _column(B, 13, i, x, 3)
             x[i_sg + i] += _column(B, 6, i, x, 0) + _column(B, 14, i, x, 3)
             x[i_sg + i] += _column(B, 22, i, x, 6)
-        v[i] = B[1, i, i] * x[i] + _column(B, 9, i, x, 3) + _column(B, 17, i, x, 6)
-        a[i] = _column(B, 2, i, x, 0) + _column(B, 10, i, x, 3) + _column(B, 18, i, x, 6)
-    p0, p1, p2 = _column(B, 0, 0, x, 0), _column(B, 0, 1, x, 0), _column(B, 0, 2, x, 0)
-    x[2] = p2 + B[8, 2, 2] * x[5]
-    x[0], x[1] = p0, p1
+    half, third = 0.5 * T, T / 3.0
+    p0, p1, p2 = x[0], x[1], x[2]
+    v0, v1, v2 = x[3], x[4], x[5]
+    a0, a1, a2 = x[6], x[7], x[8]
+    t0, t1, t2 = v0 + half * p0, v1 + half * p1, v2 + half * p2
+    u0, u1, u2 = v0 + third * p0, v1 + third * p1, v2 + third * p2
     for i in range(3):
-        x[3 + i], x[6 + i] = v[i], a[i]
+        c0, c1, c2 = B[11, 0, i], B[11, 1, i], B[11, 2, i]
+        x[9 + i] += c0 * t0 + c1 * t1 + c2 * t2
+        x[12 + i] += c0 * a0 + c1 * a1 + c2 * a2
+        x[12 + i] += B[12, 0, i] * u0 + B[12, 1, i] * u1 + B[12, 2, i] * u2
+        x[3 + i] = B[9, 0, i] * v0 + B[9, 1, i] * v1 + B[9, 2, i] * v2
+        x[6 + i] = B[18, 0, i] * a0 + B[18, 1, i] * a1 + B[18, 2, i] * a2
+    x[0] = B[0, 0, 0] * p0 + B[0, 1, 0] * p1
+    x[1] = B[0, 1, 1] * p1
+    x[2] = B[0, 0, 2] * p0 + B[0, 1, 2] * p1 + p2 + B[8, 2, 2] * v2
+    x[3] += T * p0 + B[17, 1, 0] * a1
+    x[4] += T * p1 + B[17, 0, 1] * a0 + B[17, 2, 1] * a2
+    x[5] += T * p2
+    px, py, pz = B[2, 1, 2], B[2, 2, 0], B[2, 0, 1]
+    vx, vy, vz = B[10, 1, 2], B[10, 2, 0], B[10, 0, 1]
+    x[6] += (py * p2 - pz * p1) + (vy * v2 - vz * v1)
+    x[7] += (pz * p0 - px * p2) + (vz * v0 - vx * v2)
+    x[8] += (px * p1 - py * p0) + (vx * v1 - vy * v0)
 
 
-@njit("void(f8, i8[::1], f8[::1], f8[::1])", cache=True)
+@njit("void(f8, i8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def decay_factors(T: float, lay: I64, par: F64, d: F64) -> None:
     """``d`` (n,): diagonal of D over an interval ``T`` [s]."""
     d[:] = 1.0
@@ -96,13 +144,12 @@ def decay_factors(T: float, lay: I64, par: F64, d: F64) -> None:
         (lay[L_GNSS], par[GNSS_TAU]),
     ):
         if start >= 0 and tau > 0.0:
-            for i in range(3):
-                d[start + i] = math.exp(-T / tau)
+            d[start] = d[start + 1] = d[start + 2] = math.exp(-T / tau)
     if lay[L_CLOCK] >= 0:
         d[lay[L_CLOCK] + RAMP] = math.exp(-T / par[CLOCK_RAMP_TAU])
 
 
-@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
+@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def noise_diagonal(c: F32, T: float, lay: I64, par: F64, d: F64, q: F64) -> None:
     """``q`` (n,): diagonal of Q but for attitude, from a step's numbers, its length and D."""
     q[:] = 0.0
@@ -126,7 +173,7 @@ def noise_diagonal(c: F32, T: float, lay: I64, par: F64, d: F64, q: F64) -> None
         q[VEL + i] = c[C_NOISE_V]
 
 
-@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
+@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def subtract_noise(c: F32, T: float, lay: I64, par: F64, q: F64, lam: F64, x: F64) -> None:
     """``x`` ← ``x`` − Q ``lam``, Q with the terms between states."""
     cross = 0.5 * float(c[C_NOISE_V]) * T
@@ -148,7 +195,7 @@ def subtract_noise(c: F32, T: float, lay: I64, par: F64, q: F64, lam: F64, x: F6
         x[b + DRIFT] -= cross * lam[b]
 
 
-@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[:, ::1])", cache=True)
+@njit("void(f4[::1], f8, i8[::1], f8[::1], f8[::1], f8[:, ::1])", cache=True, counted=False)
 def add_noise(c: F32, T: float, lay: I64, par: F64, q: F64, P: F64) -> None:
     """``P`` ← ``P`` + Q."""
     cross = 0.5 * float(c[C_NOISE_V]) * T

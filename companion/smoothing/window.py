@@ -11,8 +11,6 @@ intervals, given out in forward order of time.
 
 from __future__ import annotations
 
-import numpy as np
-
 from companion._jit import njit
 from companion.estimation.covariance import STRIDE
 from companion.estimation.tape import (
@@ -21,12 +19,10 @@ from companion.estimation.tape import (
     F32,
     F_FADE,
     F_GAIN,
-    F_R,
     F_STEP,
     F_STEP_WITH_SCALE,
     F_TIME,
     F_TURN,
-    F_Y,
     FADE,
     FINE,
     FIX,
@@ -37,7 +33,6 @@ from companion.estimation.tape import (
     STEP,
     TURN,
     UPDATE,
-    read_h,
     read_step,
     read_time,
 )
@@ -46,13 +41,21 @@ from companion.navigation.error_model import transition_blocks
 from companion.navigation.layout import L_ACCEL_SCALE, L_N
 from companion.smoothing.composite import (
     LAM,
+    S_D,
+    S_DECAY,
+    S_DX,
+    S_H,
+    S_LAM,
+    S_P,
+    S_U,
+    S_V,
+    S_X,
     WIDTH,
     begin,
     flush,
     smoothed_blocks,
     step_back,
-    turn_back,
-    update_back,
+    take_back,
 )
 from companion.smoothing.correction import correct
 from companion.smoothing.transition import decay_factors
@@ -61,7 +64,7 @@ from companion.types import F64, I64, Flags
 BROKEN = -1
 
 
-@njit("i8(i8, i8, i8)", cache=True)
+@njit("i8(i8, i8, i8)", cache=True, counted=False)
 def numbers_of(kind: int, n: int, step: int) -> int:
     """How many numbers a record has in ``fine``; ``step`` those of a step."""
     if kind == STEP:
@@ -77,7 +80,7 @@ def numbers_of(kind: int, n: int, step: int) -> int:
     return int(F_TIME + ROW_SIZE + (n * (n + 1) // 2 if kind == FULL_ROW else 0))
 
 
-@njit("void(f8[::1], i8, i8, f8[:, ::1], i8[::1], i8)", cache=True)
+@njit("void(f8[::1], i8, i8, f8[:, ::1], i8[::1], i8)", cache=True, counted=False)
 def copy_row(record: F64, at: int, row: int, rows: F64, t: I64, size: int) -> None:
     """Row number ``row`` of the output from a record that lies at ``at``."""
     t[row] = read_time(record[at:])
@@ -85,7 +88,7 @@ def copy_row(record: F64, at: int, row: int, rows: F64, t: I64, size: int) -> No
         rows[row, j] = record[at + F_TIME + j]
 
 
-@njit("b1(f8[::1])", cache=True)
+@njit("b1(f8[::1])", cache=True, counted=False)
 def _sound(row: F64) -> bool:
     """Whether everything in an output row is finite and no variance negative."""
     for i in range(O_COV + 30):
@@ -99,9 +102,10 @@ def _sound(row: F64) -> bool:
 
 
 @njit(
-    "i8(i1[::1], f4[::1], f8[::1], i8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], i8[::1],"
-    "f8[:, ::1], b1[::1])",
+    "i8(i1[::1], f4[::1], f8[::1], i8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[::1],"
+    "i8[::1], f8[:, ::1], b1[::1])",
     cache=True,
+    counted=False,
 )
 def smooth_window(
     kinds: I8,
@@ -113,6 +117,7 @@ def smooth_window(
     lay: I64,
     par: F64,
     s: F64,
+    scratch: F64,
     t: I64,
     rows: F64,
     smoothed: Flags,
@@ -120,18 +125,23 @@ def smooth_window(
     """Smooth the rows between ``a`` and ``b`` from everything up to ``c``, positions on the tape.
 
     Exactly the rows there are filled: times ``t`` (N,), output ``rows`` (N, ROW_SIZE), and which of
-    them are ``smoothed`` (N,), the others being the filter's. ``s`` is scratch with the Earth's
-    rate in place. :data:`BROKEN` where something is not finite or a variance not positive: then
-    the rows are of no use.
+    them are ``smoothed`` (N,), the others being the filter's. ``s`` and ``scratch`` (composite.py)
+    are scratch, the first with the Earth's rate in place. :data:`BROKEN` where something is not
+    finite or a variance not positive: then the rows are of no use.
     """
     n = lay[L_N]
     step = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
-    B = np.empty((24, 3, 3))
-    d, w, dx, D = np.empty(n), np.empty(n), np.empty((1, n)), np.ones(n)
-    X, Y = np.zeros(n * WIDTH), np.empty(9 * WIDTH)
-    Lam, U = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
-    V, P = np.zeros(n * STRIDE), np.zeros(n * STRIDE)
+    B = scratch[:S_D].reshape((24, 3, 3))
+    d, w, D = scratch[S_D : S_D + n], scratch[S_H : S_H + n], scratch[S_DECAY : S_DECAY + n]
+    dx = scratch[S_DX : S_DX + n].reshape((1, n))
+    X = scratch[S_X : S_X + n * WIDTH]
+    P, Lam = scratch[S_P : S_P + n * STRIDE], scratch[S_LAM : S_LAM + n * STRIDE]
+    U, V = scratch[S_U : S_U + n * STRIDE], scratch[S_V : S_V + n * STRIDE]
     begin(X, lay)
+    for j in range(n):
+        X[j * WIDTH + LAM] = 0.0
+    Lam[:] = 0.0
+    D[:] = 1.0
     pending = False
     at_c, f, row = c[COARSE], c[FINE], t.shape[0]
     for i in range(c[KIND] - 1, a[KIND] - 1, -1):
@@ -141,8 +151,8 @@ def smooth_window(
             at_c -= C_STEP
             read_step(coarse[at_c : at_c + C_STEP], fine[f : f + step], s)
             transition_blocks(s, B)
-            decay_factors(float(fine[f]), lay, par, d)
-            step_back(B, lay, float(fine[f]), d, X, D, Y)
+            decay_factors(fine[f], lay, par, d)
+            step_back(B, lay, fine[f], d, X, D)
             pending = True
             continue
         if kind == FIX or (kind < 0 and i >= b[KIND]):
@@ -155,31 +165,16 @@ def smooth_window(
         if pending:
             flush(X, D, Lam, lay, U, V)
             pending = False
-        if kind >= UPDATE:
-            r = fine[f + F_R]
-            g = r * fine[f + F_Y]
-            for j in range(n):
-                g += fine[f + F_GAIN + j] * X[j * WIDTH + LAM]
-            g *= r
-            read_h(fine[f:], n, d)
-            for j in range(n):
-                X[j * WIDTH + LAM] -= d[j] * g
-            update_back(Lam, d, fine[f + F_GAIN : f + F_GAIN + n], r, n, w)
-        elif kind == FADE:
-            for j in range(n):
-                X[j * WIDTH + LAM] *= fine[f]
-            for j in range(n * STRIDE):
-                Lam[j] *= fine[f]
-        elif kind == TURN:
-            turn_back(Lam, X, fine[f : f + F_TURN], n)
+        if kind >= 0:
+            take_back(kind, fine[f:], n, X, Lam, d, w)
         else:
             row -= 1
             copy_row(fine, f, row, rows, t, ROW_SIZE)
             at = f + F_TIME + ROW_SIZE
             for j in range(n):
                 for k in range(j, n):
-                    P[j * STRIDE + k] = P[k * STRIDE + j] = fine[at]
-                    at += 1
+                    P[j * STRIDE + k] = P[k * STRIDE + j] = fine[at + k - j]
+                at += n - j
             for j in range(n):
                 dx[0, j] = 0.0
             for k in range(n):

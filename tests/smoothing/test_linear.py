@@ -7,6 +7,7 @@ import pytest
 
 from companion.smoothing import bryson_frazier as bf
 from companion.smoothing import rts
+from companion.smoothing.composite import scratch
 from companion.types import F64
 from tests.smoothing.linear import LinearRun, linear_run
 
@@ -17,14 +18,15 @@ or a missing term is of the order of one."""
 
 def bryson_frazier(run: LinearRun) -> tuple[F64, F64]:
     n = int(run.lay[0])
-    lam, steps = np.zeros((n, 1)), np.zeros((run.steps, n))
-    s = run.s0.copy()
-    tape = (run.kinds, run.coarse, run.fine, run.triangle, run.lay, run.par, s)
-    bf.backward(*tape, lam, steps)
+    lam, steps = np.zeros(n), np.zeros((run.steps, n))
+    tape = (run.kinds, run.coarse, run.fine, run.triangle, run.lay, run.par, run.s0.copy())
+    room = scratch()
+    bf.backward(*tape, room, lam, steps)
     rows = np.zeros_like(run.forward)
-    bf.forward(*tape, -run.P0 @ lam, steps, rows)
-    cov = np.zeros((len(rows), 5, 6))
-    bf.backward_covariance(*tape, np.zeros((n, n)), cov)
+    bf.forward(*tape, room, -run.P0 @ lam, steps, rows)
+    cov = np.zeros((len(rows), 30))
+    bf.backward_covariance(*tape, room, np.zeros((n, n)), cov)
+    cov = cov.reshape(-1, 5, 6)
     return rows, cov
 
 
@@ -50,11 +52,11 @@ def test_rts_is_the_batch_solution(seed: int) -> None:
     run = linear_run(seed)
     n = int(run.lay[0])
     P = run.P0.copy()
-    before, foreseen, gains = (np.zeros((run.steps, n, n)) for _ in range(3))
-    tape = (run.kinds, run.coarse, run.fine, run.triangle, run.lay)
-    rts.covariances(*tape, run.par, run.s0.copy(), P, before, foreseen, gains)
+    before, foreseen = (np.zeros((run.steps, n, n)) for _ in range(2))
+    tape = (run.kinds, run.coarse, run.fine, run.triangle, run.lay, run.par, run.s0.copy())
+    rts.covariances(*tape, P, before, foreseen)
     rows, cov = np.zeros_like(run.forward), np.zeros((len(run.forward), n, n))
-    assert rts.backward(*tape, before, foreseen, gains, np.zeros(n), P, rows, cov)
+    assert rts.backward(*tape, before, foreseen, np.zeros(n), P, rows, cov)
     sd = np.sqrt(np.diagonal(run.batch_cov, axis1=1, axis2=2))
     assert np.abs((run.forward + rows - run.batch) / sd).max() < TOLERANCE
     scaled = (cov - run.batch_cov) / (sd[:, :, None] * sd[:, None, :])
