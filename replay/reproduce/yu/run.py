@@ -53,8 +53,8 @@ class Errors:
     switches: int
 
 
-def configuration(jerk: float, transitions: bool, levers: tr.Levers = tr.LEVERS_B) -> Config:
-    """51 states with three units; acceleration and turn rate that stay, GPS position alone."""
+def configuration(jerk: float, transitions: bool) -> Config:
+    """51 states: three units, acceleration and turn rate that stay, GPS position alone."""
     white, slow = np.array(tr.GPS_WHITE), np.array(tr.GPS_SLOW)
     horizontal, _, vertical = np.hypot(white, slow).tolist()
     return Config(
@@ -70,7 +70,7 @@ def configuration(jerk: float, transitions: bool, levers: tr.Levers = tr.LEVERS_
         ),
         further_imu=tuple(
             FurtherImu(source=f"imu{i + 2}", lever_arm_b_m=lever)
-            for i, lever in enumerate(levers[1:])
+            for i, lever in enumerate(tr.LEVERS_B[1:])
         ),
         gnss=Gnss(sd_position_m=horizontal, sd_height_m=vertical),
         baro=Baro(use=False),
@@ -86,25 +86,17 @@ def configuration(jerk: float, transitions: bool, levers: tr.Levers = tr.LEVERS_
     )
 
 
-def fly(
-    track: tr.Track,
-    sensors: tr.Sensors,
-    start: F64,
-    jerk: float,
-    transitions: bool,
-    levers: tr.Levers = tr.LEVERS_B,
-) -> Errors:
+def fly(track: tr.Track, sensors: tr.Sensors, start: F64, jerk: float, transitions: bool) -> Errors:
     """Filter one run; ``start`` (12,) are the standard normal errors of the first state
     behind its position."""
-    setup = Setup(configuration(jerk, transitions, levers))
+    setup = Setup(configuration(jerk, transitions))
     s, k = _begin(setup, sensors.first_fix, start)
     count = len(track.t)
     t: I64 = NS + np.arange(1, count + 1, dtype=np.int64) * (NS // tr.RATE_HZ)
     aid_t, kinds, rows = _aids(setup, sensors, t)
     found = []
     at = np.array([0, 0, 0, len(aid_t), 0, 0, 0])
-    room = 3 * count * len(sensors.imu)
-    reports_t, reports = np.zeros(room, np.int64), np.zeros((room, REPORT_SIZE))
+    reports_t, reports = np.zeros(9 * count, np.int64), np.zeros((9 * count, REPORT_SIZE))
     switches = np.zeros((count, 2), np.int64)
     for stop in range(EVERY, count + 1, EVERY):
         at[1], at[4], at[5] = stop, 0, 0
@@ -158,23 +150,23 @@ def _begin(setup: Setup, first_fix: F64, start: F64) -> tuple[F64, I64]:
 
 
 def _aids(setup: Setup, sensors: tr.Sensors, t: I64) -> tuple[I64, I64, F64]:
-    """The further units and the fixes as rows of the aid table, in order of time."""
-    count, further = len(t), len(sensors.imu) - 1
-    rows = np.full((further * count + len(sensors.fixes), AID_SIZE), np.nan)
-    rows[: further * count, :7] = sensors.imu[1:].reshape(-1, 7)
+    """The two further units and the fixes as rows of the aid table, in order of time."""
+    count = len(t)
+    rows = np.full((2 * count + len(sensors.fixes), AID_SIZE), np.nan)
+    rows[:count, :7], rows[count : 2 * count, :7] = sensors.imu[1], sensors.imu[2]
     kinds = np.zeros((len(rows), 2), np.int64)
-    kinds[: further * count, 0] = KIND_IMU
-    kinds[: further * count, 1] = np.repeat(np.arange(further), count)
-    kinds[further * count :, 0] = KIND_GNSS
+    kinds[: 2 * count, 0] = KIND_IMU
+    kinds[count : 2 * count, 1] = 1
+    kinds[2 * count :, 0] = KIND_GNSS
     full = t[tr.RATE_HZ - 1 :: tr.RATE_HZ]
     gnss = setup.config.gnss
-    for row, fix in zip(rows[further * count :], sensors.fixes, strict=True):
+    for row, fix in zip(rows[2 * count :], sensors.fixes, strict=True):
         there = np.zeros(setup.layout.size)
         there[0] = 1.0
         there[lo.LAT : lo.LAT + 3] = tr.PLACE
         box_plus(there, setup.lay, np.concatenate([fix, np.zeros(setup.layout.n - 3)]))
         row[:3] = there[lo.LAT : lo.LAT + 3]
         row[6:9] = np.square([gnss.sd_position_m, gnss.sd_position_m, gnss.sd_height_m])
-    times = np.concatenate([np.tile(t, further), full])
+    times = np.concatenate([t, t, full])
     order = np.argsort(times, kind="stable")
     return times[order], kinds[order], rows[order]

@@ -27,9 +27,7 @@ STEPS = (
 """Start of an interval [s], tangential acceleration [m/s²], turn rate [rad/s]."""
 PLACE = (45.77 * DEG, 126.68 * DEG, 150.0)
 """Harbin, where the authors are: they print no place."""
-Levers = tuple[tuple[float, float, float], ...]
-LEVERS_B: Levers = ((0.0, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.5, 0.0))
-"""Where the three units are [m]."""
+LEVERS_B = ((0.0, 0.0, 0.0), (0.0, -0.5, 0.0), (0.0, 0.5, 0.0))
 
 GYRO_NOISE = 4.5 / 60.0 * DEG
 """4.5 °/√h [rad/√s]."""
@@ -96,14 +94,14 @@ class Sensors:
     """What is measured along the track in one run."""
 
     imu: F64
-    """(units, N, 7) rate, specific force, 0: as the filter takes them."""
+    """(3, N, 7) rate, specific force, 0: as the filter takes them."""
     fixes: F64
     """(60, 3) antenna position, NED metres from :data:`PLACE`; at full seconds."""
     first_fix: F64
     """(3,) the fix at the start, at rest."""
 
 
-def measure(track: Track, rng: np.random.Generator, levers: Levers = LEVERS_B) -> Sensors:
+def measure(track: Track, rng: np.random.Generator) -> Sensors:
     """Simulated outputs, independent of the filter's own equations but for the centripetal term."""
     lat, _, height = PLACE
     count = len(track.t)
@@ -117,8 +115,8 @@ def measure(track: Track, rng: np.random.Generator, levers: Levers = LEVERS_B) -
 
     rate = body(spin + moving) + track.rate[:, None] * [0.0, 0.0, 1.0]
     force = body(force_n)
-    imu = np.zeros((len(levers), count, 7))
-    for unit, lever in enumerate(np.array(levers)):
+    imu = np.zeros((3, count, 7))
+    for unit, lever in enumerate(np.array(LEVERS_B)):
         centripetal = np.cross(rate, np.cross(rate, lever))
         gyro_scale, accel_scale = 1.0 + SCALE * rng.standard_normal((2, 3))
         imu[unit, :, :3] = gyro_scale * rate + GYRO_BIAS * rng.standard_normal(3)
