@@ -580,6 +580,8 @@ class Outputs:
     smoothed: Smoothed = NO_SMOOTHED
     """Only from :meth:`companion.engine.Engine.smooth`."""
     adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
+    members: tuple[tuple[str, Solution], ...] = ()
+    """Of a bank: what each estimator would have published, under its name."""
 
 
 # --------------------------------------------------------------------------- health

@@ -1,15 +1,8 @@
 """Several estimators or settings on one recording, read once, side by side.
 
-What is compared is a *setting*: the run's configuration with something changed, as words say::
-
-    fuzzy                     an adaptation method, of adaptation.method
-    error-state               an estimator, of engine.estimator
-    as-configured             nothing changed
-    no-source-faults          source_faults.detect = false
-    flac+no-source-faults     several of them
-    mine=settings.toml        a name, and a file whose keys are laid over the configuration
-
-An estimator that joins the engine needs nothing here: what ``engine.estimator`` takes is a word.
+What is compared is a *setting*: the run's configuration with something changed, as words say
+(:mod:`companion.config.settings`), or ``mine=settings.toml``: a name, and a file whose keys are
+laid over the configuration. ``bank`` is the one published of ``bank.estimators``.
 """
 
 from __future__ import annotations
@@ -18,12 +11,13 @@ import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import msgspec
 
-from companion.config import Config, EngineConfig, from_table, to_toml
+from companion.config import Bank, Config, from_table, to_toml
 from companion.config.adaptation import METHODS
+from companion.config.settings import changed
 from companion.types import ConfigError, VehicleRecording, Verdict
 from replay.assessment import assess
 from replay.configuration import ChosenConfig
@@ -65,23 +59,22 @@ class Row(msgspec.Struct, frozen=True):
     no_accuracy_because: str | None = None
 
 
-def _estimators() -> tuple[str, ...]:
-    return get_args(get_type_hints(EngineConfig)["estimator"])
-
-
-def _changed(config: Config, word: str) -> Config:
-    """``config`` with what one word changes; :class:`ConfigError` names those that are known."""
-    replace = msgspec.structs.replace
-    if word == "as-configured":
+def _changed(config: Config, text: str) -> Config:
+    """``config`` with what words change, its bank dissolved."""
+    if text == "bank":
+        if not config.bank.estimators:
+            raise ConfigError("--estimators: 'bank' needs bank.estimators in the configuration")
         return config
-    if word == "no-source-faults":
-        return replace(config, source_faults=replace(config.source_faults, detect=False))
-    if word in METHODS:
-        return replace(config, adaptation=replace(config.adaptation, method=word))
-    if word in _estimators():
-        return replace(config, engine=replace(config.engine, estimator=word))
-    known = ", ".join((*METHODS, *_estimators(), "no-source-faults", "as-configured"))
-    raise ConfigError(f"--estimators: unknown '{word}'; known are {known}, and NAME=FILE.toml")
+    try:
+        return changed(msgspec.structs.replace(config, bank=Bank()), text)
+    except ConfigError as error:
+        raise ConfigError(f"--estimators: {error}, and NAME=FILE.toml") from None
+
+
+def usual(config: Config) -> tuple[str, ...]:
+    """What is compared where nothing is said: the bank and its members, else every adaptation."""
+    names = config.bank.estimators
+    return ("bank", *names) if names else DEFAULT
 
 
 def _laid_over(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -114,9 +107,7 @@ def settings(chosen: ChosenConfig, names: Sequence[str]) -> list[Setting]:
         if equals:
             config = _from_file(chosen.config, Path(path))
         else:
-            config = chosen.config
-            for word in text.split("+"):
-                config = _changed(config, word)
+            config = _changed(chosen.config, text)
         origin = f"{chosen.origin}, {text}"
         found.setdefault(name, Setting(name, ChosenConfig(config, origin, to_toml(config))))
     return list(found.values())

@@ -21,6 +21,7 @@ from typing import Any
 
 from companion import _jit
 from companion.config import Config
+from companion.config.settings import uses_direct
 
 PARTS: dict[str, tuple[str, ...]] = {
     "filter": (
@@ -81,7 +82,7 @@ def parts_of(config: Config) -> tuple[str, ...]:
     asked = {
         "filter": True,
         "smoothing": config.smoothing.enabled,
-        "direct": config.engine.estimator == "direct",
+        "direct": uses_direct(config),
         "gnss": config.raw_gnss.coupling != "off",
         "several imus": bool(config.further_imu),
     }

@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from companion.bank import Bank, navigator
 from companion.config import Config
+from companion.config.settings import uses_direct
 from companion.engine import CLOCK_BACK_NS, NOTHING, Engine
 from companion.intake.fusion.fusion import fuses
 from companion.outlet import with_smoothed
@@ -54,7 +56,7 @@ def choose_aids(vehicle: VehicleRecording, config: Config) -> list[AidingSamples
         gnss = _fixes(vehicle, config)
     baro = vehicle.baro[:1] if config.baro.use else ()
     mag = (Thinner(config.mag.max_rate_hz)(m) for m in vehicle.mag[:1] if config.mag.use)
-    direct = config.engine.estimator == "direct"
+    direct = uses_direct(config)
     attitude = vehicle.attitude[:1] if direct and config.direct.attitude else ()
     return [*gnss, *baro, *mag, *attitude, *_further(vehicle, config)]
 
@@ -208,14 +210,14 @@ def play(
     config: Config,
     sink: Sink | None = None,
     block_s: float = BLOCK_S,
-) -> Engine:
+) -> Engine | Bank:
     """Run a recording through a new engine; ``sink`` gets every arrival with what came of it.
 
     What came of a block and the aiding among it comes with the block's inertial samples.
     ``block_s``: longest block [s]. It changes how often there is something to see, and nothing of
     the solution.
     """
-    engine = Engine(config)
+    engine = navigator(config)
     if engine.on_line.running is not None:
         for since_ns, until_ns in vehicle.smoothing_gaps:
             engine.on_line.running.give_way(since_ns, until_ns)

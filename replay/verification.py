@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from companion.bank import Bank, navigator
 from companion.config import Config
 from companion.engine import Engine
 from companion.types import Samples, VehicleRecording
@@ -52,7 +53,7 @@ def compare_with_live(
     return Comparison(equal, stored.seq, stored.digest, stored.digest_published)
 
 
-def _played_until(vehicle: VehicleRecording, config: Config, seq: int) -> Engine:
+def _played_until(vehicle: VehicleRecording, config: Config, seq: int) -> Engine | Bank:
     """The engine after everything up to an arrival, not finished: the run went on."""
 
     def cut(streams: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -68,7 +69,7 @@ def _played_until(vehicle: VehicleRecording, config: Config, seq: int) -> Engine
         raw=cut(vehicle.raw),
         broadcast=cut(vehicle.broadcast),
     )
-    engine = Engine(config)
+    engine = navigator(config)
     if until.imu:
         for block in arrivals(until, config):
             engine.step(block)

@@ -30,7 +30,7 @@ def compare_settings(
     recording, chosen = read(console, logs, config_path, vehicle_name)
     with present.notice_if_slow(console, LOADING):
         from replay import comparison
-    wanted = comparison.settings(chosen, names or comparison.DEFAULT)
+    wanted = comparison.settings(chosen, names or comparison.usual(chosen.config))
     fit, refused = navigable(recording, None, vehicle_name)
     for one in refused:
         console.print(f"[yellow]Vehicle {escape(one.name)} left out: {escape(one.reason)}")

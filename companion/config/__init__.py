@@ -18,6 +18,7 @@ from companion.config.adaptation import Adaptation, check_adaptation
 from companion.config.direct_checks import check_direct
 from companion.config.estimator import (
     Alignment,
+    Bank,
     Baro,
     Constraints,
     Direct,
@@ -48,6 +49,7 @@ from companion.config.live_checks import check_live
 from companion.config.ranges import positive, rotation, within
 from companion.config.raw_gnss import RawGnss, check_raw_gnss
 from companion.config.section import Section
+from companion.config.settings import changed
 from companion.config.spelled import to_toml
 from companion.types import ConfigError
 
@@ -56,6 +58,7 @@ __all__ = [
     "G0",
     "Adaptation",
     "Alignment",
+    "Bank",
     "Baro",
     "CanBus",
     "CanImu",
@@ -106,6 +109,7 @@ class Config(Section):
     constraints: Constraints = Constraints()
     alignment: Alignment = Alignment()
     engine: EngineConfig = EngineConfig()
+    bank: Bank = Bank()
     adaptation: Adaptation = Adaptation()
     smoothing: Smoothing = Smoothing()
     source_faults: SourceFaults = SourceFaults()
@@ -267,7 +271,21 @@ def _check(config: Config) -> None:
     check_units(config.imu, config.further_imu, config.imu_fusion)
     if config.engine.estimator == "direct" and config.smoothing.enabled:
         raise ConfigError("key 'smoothing.enabled': only with engine.estimator = 'error-state'")
+    _check_bank(config)
     check_live(config)
+
+
+def _check_bank(config: Config) -> None:
+    names = config.bank.estimators
+    for name in names:
+        try:
+            changed(config, name)
+        except ConfigError as error:
+            raise ConfigError(f"key 'bank.estimators': {error}") from None
+    if len(names) == 1 or len(set(names)) < len(names):
+        raise ConfigError("key 'bank.estimators': two or more, each once; or none")
+    if names and config.smoothing.enabled:
+        raise ConfigError("key 'smoothing.enabled': not with bank.estimators")
 
 
 def parse(text: str, origin: str = "configuration") -> Config:

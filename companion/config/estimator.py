@@ -309,6 +309,15 @@ class EngineConfig(Section):
     to several mutually consistent fixes. Where velocity fits, ``source_faults.patience_s``."""
 
 
+class Bank(Section):
+    """Several estimators on one stream of events, of which the consistent one is published."""
+
+    estimators: tuple[str, ...] = ()
+    """Words of ``companion compare`` joined by ``+``, the preferred one first, such as
+    ``["error-state", "direct", "error-state+no-mag"]``; empty: one estimator, as configured. What
+    no sensor word takes away, each gets."""
+
+
 class SourceFaults(Section):
     """Positions that contradict the velocities of the receiver they come from."""
 

@@ -49,6 +49,11 @@ MESSAGES: dict[str, Any] = {
 """Generated class of every message type in the log, by its full name."""
 
 
+def member_topic(estimator: str) -> str:
+    """Topic, after the vehicle, of one estimator of a bank."""
+    return f"nav/estimators/{estimator}"
+
+
 def topic(vehicle: str, name: str) -> str:
     """Topic of one vehicle, the same text as its zenoh key.
 

@@ -112,6 +112,7 @@ class LogWriter:
         self._traces: dict[str, list[AdaptationTrace]] = {}
         self._published: dict[str, list[Solution]] = {}
         self._smoothed: dict[str, list[Smoothed]] = {}
+        self._members: dict[tuple[str, str], list[Solution]] = {}
         self._raw: dict[tuple[str, str], list[tuple[int, int, bytes]]] = {}
         self._origin: dict[str, tuple[float, float, float]] = {}
         self._drawn: dict[str, int] = {}
@@ -218,6 +219,9 @@ class LogWriter:
         if len(out.smoothed):
             self._smoothed.setdefault(vehicle, []).append(out.smoothed)
             rows += len(out.smoothed)
+        for name, published in out.members:
+            self._members.setdefault((vehicle, name), []).append(published)
+            rows += len(published)
         for event in out.events:
             self.event(event, vehicle)
         self._arrived(rows, self._now_ns)
@@ -287,6 +291,7 @@ class LogWriter:
         published, self._published = self._published, {}
         reports, self._reports = self._reports, {}
         smoothed, self._smoothed = self._smoothed, {}
+        members, self._members = self._members, {}
         traces, self._traces = self._traces, {}
         raw, self._raw = self._raw, {}
         self._rows, self._window_ns = 0, None
@@ -297,6 +302,11 @@ class LogWriter:
             self._write_columns(vehicle, name, batch, source, blocks)
         for vehicle, solutions in published.items():
             self._write_states(vehicle, Solution.concatenate(solutions))
+        for (vehicle, name), solutions in members.items():
+            solution = Solution.concatenate(solutions)
+            topic = schemas.member_topic(name)
+            channel = self._channel(vehicle, topic, "companion.NavState", solution.t_ns)
+            self._file.rows(channel, solution.t_ns, messages.encode_states(solution))
         for vehicle, epochs in smoothed.items():
             self.smoothed(Smoothed.concatenate(epochs), vehicle)
         for vehicle, rows in reports.items():

@@ -7,6 +7,7 @@
 ``nav/fix``               foxglove.LocationFix       10 Hz at most
 ``nav/odometry``          foxglove.Odometry          10 Hz at most, east-north-up of the first fix
 ``nav/smoothed``          companion.NavState         with its lag; where ``[smoothing]`` is on
+``nav/estimators/<name>`` companion.NavState         of a bank: each estimator's own
 ``nav/aiding``            companion.AidingReport     one a measurement
 ``nav/adaptation``        companion.AdaptationTrace  one an adapted measurement
 ``events``                foxglove.Log               cached: who comes late gets the last 64
@@ -31,7 +32,7 @@ from companion.config import Zenoh
 from companion.logbook import messages
 from companion.logbook.adaptation import encode_trace
 from companion.logbook.health import encode_health
-from companion.logbook.schemas import topic
+from companion.logbook.schemas import member_topic, topic
 from companion.outputs import payloads
 from companion.outputs.pacing import Pacer
 from companion.outputs.publisher import Notice
@@ -50,6 +51,7 @@ _NEVER = -1
 class _Declared:
     """What hangs on one open session; held so that it is not undeclared."""
 
+    session: zenoh.Session
     publishers: dict[str, Any]
     others: tuple[Any, ...]
 
@@ -65,7 +67,9 @@ class ZenohPublisher:
         """
         session_settings(settings)
         self._vehicle = vehicle
+        self._state_rate_hz = settings.state_rate_hz
         self._state_pacer = Pacer(settings.state_rate_hz)
+        self._member_pacers: dict[str, Pacer] = {}
         self._drawn_slot = _NEVER
         self._origin: tuple[float, float, float] | None = None
         self._latest: dict[str, bytes] = {}
@@ -79,6 +83,8 @@ class ZenohPublisher:
         if len(outputs.published):
             self._states(outputs.published, arrival_monotonic_ns)
             self._drawn(outputs.published)
+        for name, published in outputs.members:
+            self._member(name, published)
         if len(outputs.reports):
             self._reports(outputs.reports)
         if len(outputs.smoothed):
@@ -127,6 +133,24 @@ class ZenohPublisher:
             state = payloads.with_arrival(row.tobytes(), arrival_monotonic_ns)
             self._latest[payloads.STATE] = state
             self._put(payloads.STATE, state)
+
+    def _member(self, name: str, published: Solution) -> None:
+        """One estimator of a bank; its key is declared when it first has something to say."""
+        pacer = self._member_pacers.setdefault(name, Pacer(self._state_rate_hz))
+        due = [i for i, t in enumerate(published.t_ns.tolist()) if pacer.due(t)]
+        live = self.link.live
+        if not due or live is None:
+            return
+        member = member_topic(name)
+        if member not in live.publishers:
+            live.publishers[member] = live.session.declare_publisher(
+                topic(self._vehicle, member),
+                encoding=payloads.encoding(payloads.STATE),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA,
+            )
+        for row in messages.encode_states(published.take(due)):
+            self._put(member, row.tobytes())
 
     def _drawn(self, published: Solution) -> None:
         drawn, self._drawn_slot = messages.drawable(
@@ -192,7 +216,7 @@ class ZenohPublisher:
             for name in (payloads.STATE, payloads.CONFIG)
         ]
         token = session.liveliness().declare_token(key[payloads.ALIVE])
-        return _Declared(publishers, (*queryables, token))
+        return _Declared(session, publishers, (*queryables, token))
 
     def _answer(self, name: str, key: str) -> Any:
         """Callback of a queryable: the latest payload, or no answer while there is none."""

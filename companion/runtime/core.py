@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Literal, NamedTuple, Protocol
 
+from companion.bank import Bank, navigator
 from companion.config import Config
-from companion.engine import Engine
 from companion.estimation.gnss_latency import GnssLatencyEstimator
 from companion.logbook import LogWriter
 from companion.outlet import NOTHING
@@ -151,7 +151,7 @@ class Core:
         """
         self.config = config
         self.vehicle = config.vehicle.name
-        self.engine = Engine(config)
+        self.engine = navigator(config)
         self._stopwatch = stopwatch
         self.pace = SmoothingPace(config, start_ns)
         self._latency = GnssLatencyEstimator(config)
@@ -392,6 +392,9 @@ class Core:
         }
         out |= {f"engine.refused.{name}": count for name, count in engine.refused.items()}
         out |= self._smoothing_counters()
+        if isinstance(self.engine, Bank):
+            out |= {"bank.selected": self.engine.selector.current}
+            out |= {"bank.switches": self.engine.selector.switches}
         out |= self.engine.fusion.counts() if self.engine.fusion is not None else {}
         for source, decoder in self._by_source.items():
             out |= {f"{source}.{name}": n for name, n in asdict(decoder.counters).items()}

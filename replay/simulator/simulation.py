@@ -92,6 +92,13 @@ def _inertial(
     )
     rx = stamp_ns + _ns(np.array(spec.arrival_ms * 1e-3))
     samples = ImuSamples(spec.source, stamp_ns, rx, stamp_ns, gyro, accel, interval)
+    return samples, gyro_bias, accel_bias
+
+
+def _heard(spec: imu.ImuSpec, unit: tuple[ImuSamples, F64, F64]) -> tuple[ImuSamples, F64, F64]:
+    """A unit's samples and true biases without the times at which it is silent."""
+    samples, gyro_bias, accel_bias = unit
+    valid = samples.t_ns / NS - spec.latency_ms * 1e-3
     silent = np.zeros(len(valid))
     for failure in spec.failures:
         if failure.kind == "silent":
@@ -217,8 +224,9 @@ def run(scenario: Scenario, seed: int, trajectory: Trajectory | None = None) -> 
         _inertial(spec, generator([_IMU, seed, i]), trajectory, duration_s)
         for i, spec in enumerate(scenario.imu)
     ]
-    blocks: list[Samples] = [unit[0] for unit in units]
-    blocks.append(_truth(trajectory, units[0][0], scenario.truth_rate_hz))
+    truth = _truth(trajectory, units[0][0], scenario.truth_rate_hz)
+    units = [_heard(spec, unit) for spec, unit in zip(scenario.imu, units, strict=True)]
+    blocks: list[Samples] = [*(unit[0] for unit in units), truth]
     for i, spec in enumerate(scenario.gnss):
         blocks.append(_gnss(spec, generator([_GNSS, seed, i]), trajectory, duration_s))
     if scenario.baro is not None:

@@ -209,7 +209,9 @@ def hold_against(
             ratio, worst, by = bias, a, differs
     s[u, WORST], s[u, WORST + 1] = worst, by
     s[u, RATIO] = ratio / (FAR * FAR)
-    k[u, OVER] = k[u, OVER] + 1 if s[u, RATIO] > 1.0 else 0
+    # Twice as far as is too far needs no second window.
+    more = 2 if s[u, RATIO] > 4.0 else 1
+    k[u, OVER] = k[u, OVER] + more if s[u, RATIO] > 1.0 else 0
     if k[u, OVER] == 0:
         for a in range(6):
             s[u, ONSET + a] = s[u, SUM_E + a]

@@ -1,0 +1,82 @@
+"""Unlike estimators on one stream: the same bits however it is cut, and a switch where one errs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.bank import Bank, navigator
+from companion.config import Bank as BankConfig
+from companion.config import parse
+from companion.engine import Engine
+from companion.types import NS, ConfigError, Outputs, Solution
+from replay.player import arrivals, play
+from replay.simulator.simulation import Simulation, run
+from replay.simulator.suite import SUITE
+
+
+@pytest.fixture(scope="module")
+def flight() -> Simulation:
+    scenario = SUITE["nominal"].scenario
+    spec = msgspec.structs.replace(scenario.trajectory, duration_s=60.0)
+    return run(msgspec.structs.replace(scenario, trajectory=spec), 2)
+
+
+def _config(*names: str):  # type: ignore[no-untyped-def]
+    return msgspec.structs.replace(SUITE["nominal"].config, bank=BankConfig(estimators=names))
+
+
+def test_blocks_of_any_length_and_single_arrivals_publish_the_same(flight: Simulation) -> None:
+    config = _config("error-state", "direct")
+    outputs: list[Outputs] = []
+    long = play(flight.recording, config, lambda _, out: outputs.append(out))
+    short = play(flight.recording, config, block_s=0.3)
+    turn = navigator(config)
+    for samples in arrivals(flight.recording, config):
+        turn.step(samples)
+    turn.finish()
+    assert long.digest == short.digest == turn.digest
+    assert long.digest_published == short.digest_published == turn.digest_published
+    # Each has its own output, the same as alone.
+    names = [name for out in outputs for name, _ in out.members]
+    assert set(names) == {"error-state", "direct"}
+    for name in ("error-state", "direct"):
+        alone = msgspec.structs.replace(config, bank=BankConfig())
+        alone = msgspec.structs.replace(
+            alone, engine=msgspec.structs.replace(alone.engine, estimator=name)
+        )
+        mine = [s for out in outputs for member, s in out.members if member == name]
+        reference: list[Solution] = []
+        play(flight.recording, alone, lambda _, out, to=reference: to.append(out.published))
+        one, other = Solution.concatenate(mine), Solution.concatenate(reference)
+        assert np.array_equal(one.t_ns, other.t_ns)
+        assert np.array_equal(one.vel_n, other.vel_n)
+
+
+def test_the_member_whose_imu_goes_wrong_is_left(flight: Simulation) -> None:
+    """A gyro that gains 3 deg/s: inertial navigation errs, a filter that only listens less so."""
+    config = _config("error-state", "direct")
+    imu = flight.recording.imu[0]
+    gyro = imu.gyro_b + np.where(imu.t_ns > flight.t0_ns + 35 * NS, 0.06, 0.0)[:, None]
+    broken = replace(flight.recording, imu=(replace(imu, gyro_b=gyro),))
+    outputs: list[Outputs] = []
+    engine = play(broken, config, lambda _, out: outputs.append(out))
+    assert isinstance(engine, Bank)
+    published = Solution.concatenate([out.published for out in outputs])
+    assert np.all(np.diff(published.t_ns) > 0)
+    said = [e for out in outputs for e in out.events if e.kind == "estimator-switched"]
+    assert engine.selector.switches == len(said)
+    assert all("is published in place of" in e.text for e in said)
+
+
+def test_one_estimator_is_an_engine_and_bad_banks_are_refused() -> None:
+    assert isinstance(navigator(_config()), Engine)
+    with pytest.raises(ConfigError, match=r"bank.estimators.*unknown 'kalman'"):
+        parse('[bank]\nestimators = ["error-state", "kalman"]')
+    with pytest.raises(ConfigError, match="two or more"):
+        parse('[bank]\nestimators = ["direct"]')
+    with pytest.raises(ConfigError, match="not with bank"):
+        parse('[bank]\nestimators = ["fuzzy", "none"]\n[smoothing]\nenabled = true')
