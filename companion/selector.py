@@ -17,8 +17,8 @@ import numpy as np
 from companion.types import NS, AidingReports, Channel, Event, Mode, Outputs, Verdict
 
 DECIDE_NS = NS // 2
-SPAN_NS = 20 * NS
-"""Innovations of this long say whether an estimator is consistent."""
+SPANS_NS = (20 * NS, 3 * NS)
+"""Innovations of this long say whether an estimator is consistent: for long, and just now."""
 LEAST = 8
 """Measurements in it for a judgement at all."""
 WINSOR = 16.0
@@ -56,6 +56,8 @@ class Standing:
     sound_since_ns: int | None = None
     innovations: deque[tuple[int, float, int]] = field(default_factory=deque)
     """(time, squared innovation, components) of the last while."""
+    nis: float | None = None
+    """Mean squared innovation per component, of the worse of the two spans; None with too few."""
 
     def note(self, out: Outputs) -> None:
         """Take in what a piece of the run gave out."""
@@ -83,20 +85,22 @@ class Standing:
     def judge(self, now_ns: int) -> None:
         """Forget what is old, and see whether it is sound at ``now_ns``."""
         # Late aids come out of order.
-        kept = sorted(i for i in self.innovations if now_ns - i[0] <= SPAN_NS)
+        kept = sorted(i for i in self.innovations if now_ns - i[0] <= SPANS_NS[0])
         self.innovations = deque(kept)
+        means = [self._mean(now_ns - span) for span in SPANS_NS]
+        self.nis = max((m for m in means if m is not None), default=None)
         sound = self.why_not(now_ns, INCONSISTENT) == ""
         if not sound:
             self.sound_since_ns = None
         elif self.sound_since_ns is None:
             self.sound_since_ns = now_ns
 
-    @property
-    def nis(self) -> float | None:
+    def _mean(self, since_ns: int) -> float | None:
         """Mean squared innovation per component; None with too few."""
-        if len(self.innovations) < LEAST:
+        found = [i for i in self.innovations if i[0] >= since_ns]
+        if len(found) < LEAST:
             return None
-        return sum(i[1] for i in self.innovations) / sum(i[2] for i in self.innovations)
+        return sum(i[1] for i in found) / sum(i[2] for i in found)
 
     @property
     def rank(self) -> int:

@@ -24,6 +24,7 @@ from companion.intake.fusion.layout import (
     LAST,
     LEVER,
     MISSED,
+    NOW,
     OMEGA,
     OUTLIERS,
     SAMPLES,
@@ -46,6 +47,10 @@ OUTLIER_SD = 10.0
 """Deviations of a sample from the centre that a trusted unit may have, in usual ones; a tenth of
 what is measured comes on top, or a knock would count."""
 OUTLIER_SHARE = 0.1
+NOW_SHARE = 0.15
+"""Of an epoch in the low-passed deviation, which is held to six of its own deviations and a
+twentieth of what is measured: a step shows in it before its window is over."""
+NOW_SD, NOW_EXTRA = 6.0, 0.05
 DISCORD_S = 0.5
 """For so long the half difference of two units that disagree lasts: σ² 2τ is the density [s]."""
 
@@ -186,12 +191,16 @@ def weigh(
         size += centre[a] * centre[a]
     if count > 2 and common[SCATTER + sensor] > 0.0:
         limit = OUTLIER_SD * math.sqrt(common[SCATTER + sensor]) + OUTLIER_SHARE * math.sqrt(size)
+        white = common[SCATTER + sensor] * NOW_SHARE / (2.0 - NOW_SHARE)
+        lasting = NOW_SD * math.sqrt(white) + NOW_EXTRA * math.sqrt(size)
         for u in range(units):
             far = False
             for a in range(o, o + 3):
                 # Until it is learned, the bias may be that much of it.
                 room = limit + 4.0 * math.sqrt(P[u, a, 0, 0])
                 far = far or not abs(x[u, a] - centre[a]) <= room
+                slack = lasting + 4.0 * math.sqrt(P[u, a, 0, 0])
+                far = far or abs(s[u, NOW + a]) > slack
             if used[u] == 1 and far and count > 1:
                 used[u] = 0
                 count -= 1
@@ -276,4 +285,5 @@ def combine(
             for a in range(6):
                 e = x[u, a] - centre[a]
                 s[u, SUM_E + a] += e
+                s[u, NOW + a] += NOW_SHARE * (e - s[u, NOW + a])
                 s[u, SUM_EE + a // 3] += e * e / 3.0

@@ -102,13 +102,15 @@ def accuses_itself(u: int, t: int, windows: int, s: F64, k: I64, T: I64) -> int:
     return TRUSTED
 
 
-@njit("i8(i8, f8[::1], f8[:, ::1], f8[::1])", cache=True)
-def _name(u: int, typical: F64, s: F64, common: F64) -> int:
+@njit("i8(i8, f8[::1], f8[:, ::1], i8[:, ::1], f8[::1])", cache=True)
+def _name(u: int, typical: F64, s: F64, k: I64, common: F64) -> int:
     """What kind of fault a deviation looks like.
 
     Of scale where it began at once, or the least one would have shown: while next to nothing is
     measured, that explains nothing.
     """
+    if k[u, RAILED] > 0:
+        return SATURATED
     worst = int(s[u, WORST])
     sensor = worst // 3
     o = 3 * sensor
@@ -253,7 +255,7 @@ def _accuse(
                     count, DISAGREED, worst, 0, s[worst, WORST], 2.0 * s[worst, WORST + 1], news
                 )
     elif worst >= 0:
-        why = _name(worst, typical, s, common)
+        why = _name(worst, typical, s, k, common)
         count = _exclude(worst, why, t, trusted, s, k, config, count, news)
     if clock[DISAGREE] > 0:
         agreed = (t - clock[AGREE_SINCE]) * 1e-9 >= config[C_PROOF_S]

@@ -32,7 +32,8 @@ WEIGHT = 29  # 2: inverse variance, bounded
 PROOF = 31  # seconds of agreement that bring it back
 PERIOD = 32  # usual time between samples [s]
 ONSET = 33  # 6: deviation in the last window that was not too far off
-STATE_SIZE = 39
+NOW = 39  # 6: low-passed deviation, a few epochs long
+STATE_SIZE = 45
 
 # --- integers of a unit (U, COUNT_SIZE)
 FIRST, END = 0, 1  # samples of the ring in use: [FIRST, END), modulo RING
