@@ -1,10 +1,10 @@
 """Two real inertial units of a quadrotor (``ansfl-quad``): fused against each alone.
 
 Run as ``python -m tests.benchmarks.several_imus``. The data set's RTK positions, thinned to 2 Hz
-and made consumer grade (white, 0.5 m horizontal and 0.8 m vertical, seeded), aid; then GNSS is withheld
-for five seconds at a time, and the error at the end of each outage is held against RTK. How the
-second unit sits beside the first is found from the rates of one path (Wahba's problem) and used on
-all of them. The paths begin in flight, with the heading unknown.
+and made consumer grade (white, 0.5 m horizontal and 0.8 m vertical, seeded), aid; then GNSS is
+withheld for five seconds at a time, and the error at the end of each outage is held against RTK.
+How the second unit sits beside the first is found from the rates of one path (Wahba's problem) and
+used on all of them. The paths begin in flight, with the heading unknown.
 """
 
 from __future__ import annotations
