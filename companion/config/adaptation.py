@@ -118,7 +118,7 @@ class Flac(Section):
 class Adaptation(Section):
     """What the filter does when innovations are not what it foresees."""
 
-    method: Method = "none"
+    method: Method = "fuzzy"
     """``none``, or how R and Q follow the innovations: see docs/adaptation.md."""
     window: int = 20
     """Innovations of a channel that are looked at together."""

@@ -16,7 +16,7 @@ from companion.estimation import walk as w
 from companion.estimation.bank import spread_headings
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.phases import Check, Filter, Phase, Setup
-from companion.estimation.source_words import declared, relocked, returned, taken_back
+from companion.estimation.source_words import declared, rejoined, relocked, returned, taken_back
 from companion.estimation.start import place_at
 from companion.navigation import layout as lo
 from companion.navigation.earth import ned_difference
@@ -59,7 +59,7 @@ def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
             events.append(returned(t, part, q))
             # Fixes that agree with the base, but not with a filter that had followed a drift.
             if _far(_way(x, part, sf.LAST), x, sf.position_variance(f.s, setup.lay, part)):
-                events.append(relocked(t, part, q))
+                events.append(rejoined(t, part))
                 return _at_source(setup, f, t, part, aids), events
         elif news == sf.DECLARED:
             events.append(declared(setup, t, part, q, x))

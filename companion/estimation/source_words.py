@@ -52,8 +52,17 @@ def returned(t: int, part: int, q: I64) -> Event:
     return Event(t, "source-returned", text)
 
 
+def rejoined(t: int, part: int) -> Event:
+    """That a source agrees with what it was before its fault, and the filter does not."""
+    text = (
+        f"{_WHAT[part]} reset to GNSS, which is back where it was before its fault: the filter had "
+        "followed it further than it knew"
+    )
+    return Event(t, "relocked", text, "warning")
+
+
 def relocked(t: int, part: int, q: I64) -> Event:
-    """That the source is believed after all."""
+    """That the source is believed after all, ``q`` saying since when it was not."""
     since = int(q[sf.T_FAULT]) if q[sf.STATE] != sf.TRUSTED else int(q[sf.T_REFUSED])
     text = (
         f"{_WHAT[part]} reset to GNSS, which has told one place for long: refused for "

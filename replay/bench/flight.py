@@ -7,7 +7,7 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
-from companion.config import Config
+from companion.config import Adaptation, Config
 from companion.types import F64, NS, ImuSamples, Samples, VehicleRecording
 from replay.simulator import load_scenario, matching_config, simulate
 
@@ -28,7 +28,9 @@ def flight(duration_s: float, *, gnss_latency_ms: float = 0.0) -> tuple[VehicleR
         gnss=(replace(scenario.gnss[0], latency_ms=gnss_latency_ms),),
         baro=None,
     )
-    return simulate(scenario, seed=0), matching_config(scenario)
+    # What is timed is what runs unless it is told otherwise.
+    config = replace(matching_config(scenario), adaptation=Adaptation())
+    return simulate(scenario, seed=0), config
 
 
 def cut(vehicle: VehicleRecording, begin_s: float, end_s: float) -> VehicleRecording:

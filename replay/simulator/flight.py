@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from companion.config import to_toml
+import msgspec
+
+from companion.config import Adaptation, to_toml
 from companion.types import VehicleRecording
 from replay.sensor_folder_writer import write_folder
 from replay.simulator.can_log import write_can_log
@@ -23,7 +25,8 @@ def write_flight(scenario: Scenario, seed: int, directory: Path) -> VehicleRecor
     written.
     """
     recording = simulate(scenario, seed)
-    config = matching_config(scenario)
+    # As a user has it, who does not know that every sensor is what it says.
+    config = msgspec.structs.replace(matching_config(scenario), adaptation=Adaptation())
     write_folder(recording, directory, to_toml(config))
     write_tlog(recording, directory / "flight.tlog", config.vehicle.kind)
     write_can_log(recording, directory / "imu.log")

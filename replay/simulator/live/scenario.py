@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from companion.config import CanBus, CanImu, Config, Log, Mavlink, Zenoh
+from companion.config import Adaptation, CanBus, CanImu, Config, Log, Mavlink, Zenoh
 from replay.simulator.aids import BaroSpec, GnssSpec, MagSpec
 from replay.simulator.live.vehicle import CAN_SOURCE
 from replay.simulator.matching import matching_config
@@ -87,4 +87,5 @@ def live_config(
         mavlink=Mavlink(endpoint=mavlink, gnss_rate_hz=receiver.rate_hz),
         zenoh=Zenoh(listen=(zenoh_listen,)),
         log=Log(directory=directory),
+        adaptation=Adaptation(),
     )
