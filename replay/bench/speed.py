@@ -43,9 +43,14 @@ def solve(vehicle: VehicleRecording, config: Config) -> Solution:
 
 
 def _same_measurements(config: Config) -> Config:
-    """``config`` without the engine's own knowledge that a vehicle may stand still."""
+    """``config`` without what the engine knows beside them: that a vehicle may stand still, and
+    that a sensor may not be what is said of it."""
     replace = msgspec.structs.replace
-    return replace(config, constraints=replace(config.constraints, zero_velocity=False))
+    return replace(
+        config,
+        constraints=replace(config.constraints, zero_velocity=False),
+        adaptation=replace(config.adaptation, method="none"),
+    )
 
 
 def _start_of_floor(solution: Solution) -> int:
