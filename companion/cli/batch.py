@@ -60,6 +60,7 @@ def batch_logs(
         compile_kernels(("filter", "files"))
     console.print(f"Working on {len(jobs)} logs, into {escape(str(out))}")
     outcomes: list[Outcome] = []
+    found: list[Found] = []
     begin = time.monotonic()
     try:
         with present.progress(console, f"{len(jobs)} logs") as update:
@@ -73,18 +74,24 @@ def batch_logs(
         )
         raise
     finally:
-        # An interrupted batch shows what it has.
         wall_s = time.monotonic() - begin
-        found = ranked(outcomes)
-        others = [o for o in outcomes if o.ended != "done"]
-        write_csv(out / _TABLE, found, others)
-        write_page(out / _PAGE, found, outcomes, _words(outcomes, len(jobs), wall_s))
+        # An interrupted batch shows what it has; one that never began leaves the last page.
+        if outcomes:
+            found = _write(out, outcomes, len(jobs), wall_s)
     _summary(console, found, outcomes, wall_s)
     console.print(f"Page      {escape(str(out / _PAGE))}")
     console.print(f"Table     {escape(str(out / _TABLE))}")
     if not found:
         raise CompanionError(f"none of {len(outcomes)} logs could be navigated: see {out / _PAGE}")
     return _result(out, found, outcomes, wall_s)
+
+
+def _write(out: Path, outcomes: Sequence[Outcome], listed: int, wall_s: float) -> list[Found]:
+    """Page and table of what is known; the rows as they are ranked there."""
+    found = ranked(outcomes)
+    write_csv(out / _TABLE, found, [o for o in outcomes if o.ended != "done"])
+    write_page(out / _PAGE, found, outcomes, _words(outcomes, listed, wall_s))
+    return found
 
 
 def cores() -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import logging
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from typing import Any
@@ -20,6 +21,8 @@ _IN_FLIGHT = 2
 """Jobs for each thread: one at work, one so near that nobody waits for the network."""
 _CONNECT_S = 15.0
 _WORKERS_S = 60.0
+_ADDRESS = re.compile(r"(tcp|tls|ws|wss|inproc)://\S+")
+"""Of a scheduler: what Dask does not understand, it only notices half a minute after it failed."""
 _GONE = "the Dask scheduler is gone; with another one the same command goes on from here"
 
 
@@ -29,6 +32,8 @@ def run(jobs: Sequence[Job], scheduler: str | None, workers: int) -> Iterator[Ou
     ``scheduler``: address of a Dask scheduler; None: ``workers`` logs at a time on this machine.
     Raises :class:`CompanionError` without Dask, and where a cluster cannot be reached or is lost.
     """
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise CompanionError(f"no Dask scheduler at {scheduler}: tcp://HOST:PORT, or tls://…")
     try:
         import distributed
     except ImportError:
@@ -76,7 +81,7 @@ def _client(distributed: Any, scheduler: str | None, workers: int) -> Iterator[A
         return
     try:
         client = distributed.Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except OSError as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise CompanionError(f"no Dask scheduler at {scheduler}: {text}") from None
     with closing(client):

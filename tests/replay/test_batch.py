@@ -99,6 +99,21 @@ def test_a_second_run_does_nothing_again_but_what_changed(
     }
 
 
+def test_what_never_began_leaves_the_page_of_the_last_run(
+    first: tuple[Path, Batch], logs: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "kept"
+    shutil.copytree(first[0], out)
+    page = (out / "index.html").read_bytes()
+    words = [sys.executable, "-m", "companion", "batch", str(logs), "-o", str(out)]
+    done = subprocess.run(
+        [*words, "--scheduler", "nonsense://here:1"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("error: no Dask scheduler at nonsense://here:1")
+    assert (out / "index.html").read_bytes() == page
+
+
 def test_a_killed_batch_goes_on_where_it_was(
     logs: Path, first: tuple[Path, Batch], tmp_path: Path
 ) -> None:
