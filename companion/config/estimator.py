@@ -90,6 +90,7 @@ class FurtherImu(Section):
     gyro_range_dps: float = 0.0
     """Full scale [deg/s]; 0: not known."""
     accel_range_mps2: float = 0.0
+    """The same for the accelerometer [m/s²]."""
 
 
 class ImuFusion(Section):
