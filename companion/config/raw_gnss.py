@@ -30,6 +30,10 @@ class RawGnss(Section):
     sd_range_m: float = 1.0
     """Pseudorange at the zenith with a strong signal, 1σ; grows with 1/sin of the elevation and as
     the signal weakens. A larger deviation that the receiver itself reports is believed."""
+    sd_multipath_m: float = 0.5
+    """The slow part of its error beside that, likewise at the zenith, 1σ: reflections that last."""
+    multipath_tau_s: float = 30.0
+    """How long: seconds for a vehicle that moves, minutes for one that stands."""
     sd_rate_mps: float = 0.05
     """Range rate (Doppler) with a strong signal, 1σ."""
     strong_cn0_dbhz: float = 45.0
@@ -68,9 +72,10 @@ def check_raw_gnss(raw: RawGnss) -> None:
         ("sd_range_m", "metres"), ("sd_rate_mps", "m/s"), ("clock_walk_m_rts", "m/√s"),
         ("clock_drift_walk_mps_rts", "m/s/√s"), ("system_bias_sd_m", "metres"),
         ("system_bias_walk_m_rts", "m/√s"), ("clock_ramp_mps2", "m/s²"),
-        ("clock_ramp_tau_s", "seconds"),
+        ("clock_ramp_tau_s", "seconds"), ("multipath_tau_s", "seconds"),
     ):  # fmt: skip
         positive(f"raw_gnss.{name}", getattr(raw, name), unit)
+    within("raw_gnss.sd_multipath_m", raw.sd_multipath_m, 0.0, 100.0, "metres")
     within("raw_gnss.latency_ms", raw.latency_ms, 0.0, 2000.0, "milliseconds")
     within("raw_gnss.strong_cn0_dbhz", raw.strong_cn0_dbhz, 20.0, 60.0, "dB-Hz")
     within("raw_gnss.iono_residual", raw.iono_residual, 0.0, 1.0, "a part")

@@ -92,7 +92,8 @@ class Receiver:
         self._blamed: dict[int, str] = {}
         self._systems = {NAMES.index(name) for name in config.systems}
         noise = np.empty(NOISE_SIZE)
-        noise[V_RANGE_SD], noise[V_RATE_SD] = config.sd_range_m, config.sd_rate_mps
+        noise[V_RANGE_SD] = math.hypot(config.sd_range_m, config.sd_multipath_m)
+        noise[V_RATE_SD] = config.sd_rate_mps
         noise[V_CN0], noise[V_IONO] = config.strong_cn0_dbhz, config.iono_residual
         noise[V_MASK] = config.elevation_mask_deg * DEG
         self._noise = noise

@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.config import Config
-from companion.gnss.corrected import ROW_SIZE, S_SAT
+from companion.gnss.corrected import ROW_SIZE, S_RANGE_VAR, S_SAT
 from companion.gnss.geometry import geodetic, ned_axes
 from companion.gnss.receiver import Prepared, Receiver
 from companion.gnss.single_point import P_COV, P_COV_VEL, P_POS, P_VEL
 from companion.types import (
     F64,
     I64,
+    NS,
     AidingSamples,
     BroadcastSamples,
     Event,
@@ -30,6 +31,8 @@ from companion.types import (
 
 SINGLE_POINT = "single point"
 """Source of the fixes that are made of the ranges here."""
+SHORTEST_S, LONE_S = 0.01, 1.0
+"""Between epochs: the least that is believed; what is taken for the first one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +56,27 @@ class RangeIntake:
     def __init__(self, config: Config) -> None:
         self.receiver = Receiver(config.raw_gnss)
         self._coupling = config.raw_gnss.coupling
+        raw = config.raw_gnss
+        total = raw.sd_range_m**2 + raw.sd_multipath_m**2
+        self._slow_share, self._slow_tau_s = raw.sd_multipath_m**2 / total, raw.multipath_tau_s
+        self._last_ns: int | None = None
 
     @property
     def on(self) -> bool:
         """Whether raw measurements are used; other fixes are not, then: they are the same news."""
         return self._coupling != "off"
+
+    def _inflation(self, t_ns: int) -> float:
+        """Factor on the variance of ranges for what of their error lasts from epoch to epoch.
+
+        Errors that follow each other by φ = exp(−Δt/τ) tell, in the mean of many, as much as white
+        ones of (1 + φ) / (1 − φ) times their variance. A filter that took them for white would
+        believe the mean of 20 s a hundred times too much.
+        """
+        dt = LONE_S if self._last_ns is None else abs(t_ns - self._last_ns) / NS
+        self._last_ns = t_ns
+        phi = math.exp(-max(dt, SHORTEST_S) / self._slow_tau_s)
+        return 1.0 + self._slow_share * ((1.0 + phi) / (1.0 - phi) - 1.0)
 
     def take(
         self, arrivals: Sequence[AidingSamples]
@@ -87,7 +106,7 @@ class RangeIntake:
         if fixes:
             made.append(_fixes(fixes))
         if tight and any(len(p.rows) for p, _, _ in prepared):
-            made.append(_ranges(prepared))
+            made.append(_ranges(prepared, [self._inflation(p.t_ns) for p, _, _ in prepared]))
         return made, [event for p, _, _ in prepared for event in p.events]
 
 
@@ -95,11 +114,15 @@ def _stamps(arrival: RawGnssSamples, m: int) -> tuple[int, int, int]:
     return int(arrival.t_ns[m]), int(arrival.t_rx_ns[m]), int(arrival.seq[m])
 
 
-def _ranges(prepared: list[tuple[Prepared, RawGnssSamples, int]]) -> RangeSamples:
+def _ranges(
+    prepared: list[tuple[Prepared, RawGnssSamples, int]], inflation: list[float]
+) -> RangeSamples:
     """Satellites of each epoch by number, the order in which they are fused."""
     stamps, rows, let_go = [], [], []
-    for p, arrival, m in prepared:
-        rows.append(p.rows[np.argsort(p.rows[:, S_SAT], kind="stable")])
+    for (p, arrival, m), factor in zip(prepared, inflation, strict=True):
+        own = p.rows[np.argsort(p.rows[:, S_SAT], kind="stable")]
+        own[:, S_RANGE_VAR] *= factor
+        rows.append(own)
         stamps += [_stamps(arrival, m)] * len(p.rows)
         let_go += [float(p.let_go and i == 0) for i in range(len(p.rows))]
     t, rx, seq = np.array(stamps, np.int64).reshape(-1, 3).T

@@ -61,7 +61,7 @@ def test_without_noise_the_place_is_exact_by_the_other_way_of_correcting() -> No
 
 
 def test_errors_of_many_epochs_fit_the_stated_covariance() -> None:
-    config = RawGnss(sd_range_m=0.7, iono_residual=0.0)
+    config = RawGnss(sd_range_m=0.7, sd_multipath_m=0.0, iono_residual=0.0)
     points, truth = _points(_run(_sky(400), config)), _flight(400)
     error = points[:, P_POS : P_POS + 3] - truth[:, :3]
     P = points[:, P_COV : P_COV + 9].reshape(-1, 3, 3)

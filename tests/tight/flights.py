@@ -20,7 +20,12 @@ LEVER = SCENARIO.gnss[0].lever_arm_b_m
 def config(**sections: dict[str, object]) -> Config:
     """Tight coupling with the noise that is simulated; the heading is given."""
     base: dict[str, dict[str, object]] = {
-        "raw_gnss": {"coupling": "tight", "sd_range_m": 0.7, "iono_residual": 0.0},
+        "raw_gnss": {
+            "coupling": "tight",
+            "sd_range_m": 0.7,
+            "sd_multipath_m": 0.0,
+            "iono_residual": 0.0,
+        },
         "alignment": {"heading": "fixed", "fixed_heading_deg": 30.0},
     }
     for name, keys in sections.items():
