@@ -61,7 +61,7 @@ def flight(scenario: int) -> tuple[RawGnssSamples, Receiver]:
     for t, sv, pr in zip(*(file[k].ravel() for k in ("t_gps", "svid_gps", "pr_gps")), strict=True):
         epoch = epochs.setdefault(int(t), Epoch(WEEK, float(t)))
         epoch.satellites.append(Observation(100 + int(sv), float(pr)))
-    receiver = Receiver(RawGnss(elevation_mask_deg=5.0, sd_range_m=2.0))
+    receiver = Receiver(RawGnss(elevation_mask_deg=5.0, sd_range_m=2.0, sd_multipath_m=0.0))
     receiver.listen(broadcast_samples("dc3", ephemerides(file["ephem"])))
     return raw_samples("dc3", list(epochs.values())), receiver
 

@@ -26,7 +26,7 @@ def flown() -> air.Flight:
 
 
 def _errors(flown: air.Flight, feedback: bool, left: int | None = None) -> F64:
-    receiver = Receiver(RawGnss(sd_range_m=air.SD_RANGE_M, iono_residual=0.0))
+    receiver = Receiver(RawGnss(sd_range_m=air.SD_RANGE_M, sd_multipath_m=0.0, iono_residual=0.0))
     receiver.listen(flown.sky.broadcast)
     filter_ = EightState(TUNING, feedback=feedback)
     truth = ecef(*flown.truth.T)

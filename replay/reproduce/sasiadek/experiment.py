@@ -59,7 +59,12 @@ class Run:
 def _choosing(choice: Literal["all", "best"]) -> RawGnss:
     """The receiver's settings: noise as it is simulated, the best four or all."""
     return RawGnss(
-        choice=choice, best_of=4, elevation_mask_deg=5.0, sd_range_m=SD_RANGE_M, iono_residual=0.0
+        choice=choice,
+        best_of=4,
+        elevation_mask_deg=5.0,
+        sd_range_m=SD_RANGE_M,
+        sd_multipath_m=0.0,
+        iono_residual=0.0,
     )
 
 
