@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -117,13 +118,15 @@ class Engine:
                 return also(self._step_imu(fused) if len(fused) else NOTHING, told)
             return self._step_imu(samples)
         self.counters.aids += len(samples)
-        prepared, events = self._ranges.take([samples])
+        prepared, sky = self._ranges.take([samples])
         for made in prepared:
             self._step_sensor(made)
         # Rows walked again settle with the next inertial samples; what is new is said at once.
         said, traced = self._reports()
-        every = (*self._outlet.events(self.filter), *events)
-        return Outputs(NO_SOLUTION, NO_SOLUTION, said, every, adaptation=traced)
+        every = (*self._outlet.events(self.filter), *sky.events)
+        return Outputs(
+            NO_SOLUTION, NO_SOLUTION, said, every, adaptation=traced, satellites=sky.satellites
+        )
 
     def _step_sensor(self, samples: AidingSamples | RangeSamples) -> None:
         """One sensor's arrival, behind what waits for it."""
@@ -159,7 +162,7 @@ class Engine:
         heads = np.concatenate(([NEVER if head is None else head], t))
         late: list[tuple[int, int, Admitted]] = []
         self.counters.aids += sum(len(samples) for samples in aids)
-        prepared, events = self._ranges.take(aids)
+        prepared, sky = self._ranges.take(aids)
         for samples in prepared:
             at = np.searchsorted(imu.seq, samples.seq)
             admitted = self._admit(samples, heads[at])
@@ -175,8 +178,8 @@ class Engine:
             ]
         late.sort(key=lambda one: one[0])
         self._walk_between(t, rows, late)
-        out = self._drain()
-        return also(out, events)
+        out = also(self._drain(), sky.events)
+        return replace(out, satellites=sky.satellites) if len(sky.satellites) else out
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""

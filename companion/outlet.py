@@ -23,6 +23,7 @@ from companion.types import (
     AidingReports,
     Event,
     Outputs,
+    Satellites,
     Solution,
 )
 
@@ -210,6 +211,7 @@ def join(parts: list[Outputs]) -> Outputs:
         AidingReports.concatenate([p.reports for p in parts]),
         tuple(e for p in parts for e in p.events),
         adaptation=AdaptationTrace.concatenate([p.adaptation for p in parts if len(p.adaptation)]),
+        satellites=Satellites.concatenate([p.satellites for p in parts if len(p.satellites)]),
     )
 
 

@@ -568,6 +568,38 @@ NO_SMOOTHED = Smoothed.empty()
 
 
 @dataclass(frozen=True, slots=True)
+class Satellites:
+    """The satellites that epochs of raw measurements were fused of, as columns."""
+
+    t_ns: I64
+    used: I64
+    excluded: I64
+    """(N,) whose range contradicted the others."""
+    dop: F64
+    """(N, 5) GDOP, PDOP, HDOP, VDOP, TDOP of those in use; 1000 where there are too few."""
+
+    def __len__(self) -> int:
+        return int(self.t_ns.shape[0])
+
+    @classmethod
+    def empty(cls) -> Satellites:
+        i = np.zeros(0, np.int64)
+        return cls(i, i, i, np.zeros((0, 5)))
+
+    @classmethod
+    def concatenate(cls, parts: list[Satellites]) -> Satellites:
+        """Join in order; empty for an empty list."""
+        if len(parts) == 1:
+            return parts[0]
+        if not parts:
+            return cls.empty()
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
+
+NO_SATELLITES = Satellites.empty()
+
+
+@dataclass(frozen=True, slots=True)
 class Outputs:
     """What one engine step gave out."""
 
@@ -582,6 +614,8 @@ class Outputs:
     adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
     members: tuple[tuple[str, Solution], ...] = ()
     """Of a bank: what each estimator would have published, under its name."""
+    satellites: Satellites = NO_SATELLITES
+    """One row an epoch of raw GNSS, as it arrived."""
 
 
 # --------------------------------------------------------------------------- health

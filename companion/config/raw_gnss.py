@@ -32,7 +32,7 @@ class RawGnss(Section):
     the signal weakens. A larger deviation that the receiver itself reports is believed."""
     sd_multipath_m: float = 0.5
     """The slow part of its error beside that, likewise at the zenith, 1σ: reflections that last."""
-    multipath_tau_s: float = 30.0
+    multipath_tau_s: float = 5.0
     """How long: seconds for a vehicle that moves, minutes for one that stands."""
     sd_rate_mps: float = 0.05
     """Range rate (Doppler) with a strong signal, 1σ."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from companion.gnss.single_point import P_COV, P_COV_VEL, P_POS, P_VEL
 from companion.types import (
     F64,
     I64,
+    NO_SATELLITES,
     NS,
     AidingSamples,
     BroadcastSamples,
@@ -27,12 +29,37 @@ from companion.types import (
     GnssSamples,
     RawGnssSamples,
     Samples,
+    Satellites,
 )
 
 SINGLE_POINT = "single point"
 """Source of the fixes that are made of the ranges here."""
 SHORTEST_S, LONE_S = 0.01, 1.0
 """Between epochs: the least that is believed; what is taken for the first one."""
+
+
+class Said(NamedTuple):
+    """What a receiver's stream has to say beside its measurements."""
+
+    events: tuple[Event, ...]
+    satellites: Satellites
+
+
+SILENT = Said((), NO_SATELLITES)
+
+
+def _said(prepared: list[Prepared]) -> Said:
+    if not prepared:
+        return SILENT
+    return Said(
+        tuple(event for p in prepared for event in p.events),
+        Satellites(
+            np.array([p.t_ns for p in prepared], np.int64),
+            np.array([len(p.rows) for p in prepared], np.int64),
+            np.array([len(p.excluded) for p in prepared], np.int64),
+            np.stack([p.dop for p in prepared]),
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +107,12 @@ class RangeIntake:
 
     def take(
         self, arrivals: Sequence[AidingSamples]
-    ) -> tuple[list[AidingSamples | RangeSamples], list[Event]]:
+    ) -> tuple[list[AidingSamples | RangeSamples], Said]:
         """``arrivals`` with fixes and ranges in place of raw measurements, and what to say."""
         raw = [a for a in arrivals if isinstance(a, RawGnssSamples | BroadcastSamples)]
         others = [a for a in arrivals if not isinstance(a, RawGnssSamples | BroadcastSamples)]
         if not self.on:
-            return [*others], []
+            return [*others], SILENT
         prepared: list[tuple[Prepared, RawGnssSamples, int]] = []
         order = [(int(seq), n, m) for n, a in enumerate(raw) for m, seq in enumerate(a.seq)]
         for _, n, m in sorted(order):
@@ -107,7 +134,7 @@ class RangeIntake:
             made.append(_fixes(fixes))
         if tight and any(len(p.rows) for p, _, _ in prepared):
             made.append(_ranges(prepared, [self._inflation(p.t_ns) for p, _, _ in prepared]))
-        return made, [event for p, _, _ in prepared for event in p.events]
+        return made, _said([p for p, _, _ in prepared])
 
 
 def _stamps(arrival: RawGnssSamples, m: int) -> tuple[int, int, int]:

@@ -34,6 +34,7 @@ MESSAGES: dict[str, Any] = {
         navigation_pb2.NavState,
         navigation_pb2.SolutionBatch,
         navigation_pb2.AidingReport,
+        navigation_pb2.Satellites,
         adaptation_pb2.AdaptationTrace,
         health_pb2.Health,
         run_pb2.Config,

@@ -24,6 +24,7 @@ from companion.logbook.adaptation import encode_trace
 from companion.logbook.columns import AnyColumns, Batch
 from companion.logbook.health import encode_health
 from companion.logbook.mcap_file import McapFile
+from companion.logbook.satellites import encode_satellites
 from companion.logbook.sink import LogWriteError, Sink
 from companion.proto import run_pb2, samples_pb2
 from companion.selection import Chosen
@@ -44,6 +45,7 @@ from companion.types import (
     Outputs,
     RawGnssSamples,
     ReferenceSamples,
+    Satellites,
     Smoothed,
     Solution,
     VehicleRecording,
@@ -110,6 +112,7 @@ class LogWriter:
         self._parts: dict[tuple[str, str, str, str], list[AnyColumns]] = {}
         self._reports: dict[str, list[AidingReports]] = {}
         self._traces: dict[str, list[AdaptationTrace]] = {}
+        self._satellites: dict[str, list[Satellites]] = {}
         self._published: dict[str, list[Solution]] = {}
         self._smoothed: dict[str, list[Smoothed]] = {}
         self._members: dict[tuple[str, str], list[Solution]] = {}
@@ -212,6 +215,8 @@ class LogWriter:
             self._reports.setdefault(vehicle, []).append(out.reports)
         if len(out.adaptation):
             self._traces.setdefault(vehicle, []).append(out.adaptation)
+        if len(out.satellites):
+            self._satellites.setdefault(vehicle, []).append(out.satellites)
         if self._settled and len(out.settled):
             key = (vehicle, "nav/settled", "solution", "forward")
             self._parts.setdefault(key, []).append(out.settled)
@@ -293,6 +298,7 @@ class LogWriter:
         smoothed, self._smoothed = self._smoothed, {}
         members, self._members = self._members, {}
         traces, self._traces = self._traces, {}
+        skies, self._satellites = self._satellites, {}
         raw, self._raw = self._raw, {}
         self._rows, self._window_ns = 0, None
         for (vehicle, link), frames in raw.items():
@@ -319,6 +325,13 @@ class LogWriter:
             message = "companion.AdaptationTrace"
             channel = self._channel(vehicle, "nav/adaptation", message, trace.t_ns)
             self._file.rows(channel, trace.t_ns, encode_trace(trace))
+        for vehicle, sky in skies.items():
+            self._write_satellites(vehicle, sky)
+
+    def _write_satellites(self, vehicle: str, parts: list[Satellites]) -> None:
+        sky = Satellites.concatenate(parts)
+        channel = self._channel(vehicle, "nav/satellites", "companion.Satellites", sky.t_ns)
+        self._file.rows(channel, sky.t_ns, encode_satellites(sky))
 
     def _write_columns(
         self, vehicle: str, name: str, batch: Batch, source: str, blocks: Sequence[AnyColumns]

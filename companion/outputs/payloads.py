@@ -17,6 +17,7 @@ ODOMETRY = "nav/odometry"
 SMOOTHED = "nav/smoothed"
 AIDING = "nav/aiding"
 ADAPTATION = "nav/adaptation"
+SATELLITES = "nav/satellites"
 EVENTS = "events"
 HEALTH = "health"
 CONFIG = "config"
@@ -29,6 +30,7 @@ SCHEMAS = {
     SMOOTHED: "companion.NavState",
     AIDING: "companion.AidingReport",
     ADAPTATION: "companion.AdaptationTrace",
+    SATELLITES: "companion.Satellites",
     EVENTS: "foxglove.Log",
     HEALTH: "companion.Health",
     CONFIG: "companion.Config",

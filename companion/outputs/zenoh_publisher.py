@@ -10,6 +10,7 @@
 ``nav/estimators/<name>`` companion.NavState         of a bank: each estimator's own
 ``nav/aiding``            companion.AidingReport     one a measurement
 ``nav/adaptation``        companion.AdaptationTrace  one an adapted measurement
+``nav/satellites``        companion.Satellites       one an epoch of raw GNSS: in use, DOPs
 ``events``                foxglove.Log               cached: who comes late gets the last 64
 ``health``                companion.Health           cached: who comes late gets the last one
 ``config``                companion.Config           queryable only
@@ -32,6 +33,7 @@ from companion.config import Zenoh
 from companion.logbook import messages
 from companion.logbook.adaptation import encode_trace
 from companion.logbook.health import encode_health
+from companion.logbook.satellites import encode_satellites
 from companion.logbook.schemas import member_topic, topic
 from companion.outputs import payloads
 from companion.outputs.pacing import Pacer
@@ -93,6 +95,9 @@ class ZenohPublisher:
         if len(outputs.adaptation):
             for row in encode_trace(outputs.adaptation):
                 self._put(payloads.ADAPTATION, row.tobytes())
+        if len(outputs.satellites):
+            for row in encode_satellites(outputs.satellites):
+                self._put(payloads.SATELLITES, row.tobytes())
         for event in outputs.events:
             self.event(event)
 
@@ -197,6 +202,7 @@ class ZenohPublisher:
                 (payloads.SMOOTHED, False),
                 (payloads.AIDING, False),
                 (payloads.ADAPTATION, False),
+                (payloads.SATELLITES, False),
             )
         }
         for name, kept in ((payloads.EVENTS, EVENTS_CACHED), (payloads.HEALTH, 1)):

@@ -183,3 +183,23 @@ class AidingReport(_message.Message):
     gate: float
     scale: float
     def __init__(self, t_ns: _Optional[int] = ..., channel: _Optional[_Union[AidingReport.Channel, str]] = ..., verdict: _Optional[_Union[AidingReport.Verdict, str]] = ..., source: _Optional[int] = ..., dof: _Optional[int] = ..., innovation: _Optional[_Iterable[float]] = ..., innovation_sd: _Optional[_Iterable[float]] = ..., nis: _Optional[float] = ..., gate: _Optional[float] = ..., scale: _Optional[float] = ...) -> None: ...
+
+class Satellites(_message.Message):
+    __slots__ = ("t_ns", "used", "excluded", "gdop", "pdop", "hdop", "vdop", "tdop")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    USED_FIELD_NUMBER: _ClassVar[int]
+    EXCLUDED_FIELD_NUMBER: _ClassVar[int]
+    GDOP_FIELD_NUMBER: _ClassVar[int]
+    PDOP_FIELD_NUMBER: _ClassVar[int]
+    HDOP_FIELD_NUMBER: _ClassVar[int]
+    VDOP_FIELD_NUMBER: _ClassVar[int]
+    TDOP_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    used: int
+    excluded: int
+    gdop: float
+    pdop: float
+    hdop: float
+    vdop: float
+    tdop: float
+    def __init__(self, t_ns: _Optional[int] = ..., used: _Optional[int] = ..., excluded: _Optional[int] = ..., gdop: _Optional[float] = ..., pdop: _Optional[float] = ..., hdop: _Optional[float] = ..., vdop: _Optional[float] = ..., tdop: _Optional[float] = ...) -> None: ...

@@ -105,7 +105,8 @@ class Loop:
 
     def publish(self, out: Outputs) -> None:
         """What an engine step gave out, to everybody, and how long it took since the arrival."""
-        if len(out.published) or len(out.reports) or len(out.smoothed) or out.events or out.members:
+        some = len(out.published) or len(out.reports) or len(out.smoothed) or len(out.satellites)
+        if some or out.events or out.members:
             for publisher in self._p.publishers:
                 publisher.publish(out, self._arrival_ns)
         if len(out.smoothed):

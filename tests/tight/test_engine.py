@@ -7,11 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from companion.engine import Engine
 from companion.gnss.clock_steps import STEP_M
 from companion.logbook import LogWriter
-from companion.types import NS, Channel, ImuSamples, VehicleRecording, Verdict
+from companion.proto.navigation_pb2 import Satellites
+from companion.types import (
+    NS,
+    AnySamples,
+    Channel,
+    ImuSamples,
+    Outputs,
+    VehicleRecording,
+    Verdict,
+)
 from replay.player import blocks, play
 from replay.run_log import read_run
 from replay.simulator.raw_gnss import as_arrived
@@ -56,16 +66,31 @@ def test_blocks_and_arrivals_in_turn_give_the_same_bits() -> None:
     assert engine.digest == whole.digest
 
 
+def _messages(path: Path, name: str) -> list[Satellites]:
+    with path.open("rb") as file:
+        found = make_reader(file).iter_messages()
+        return [Satellites.FromString(m.data) for _, c, m in found if c.topic.endswith(name)]
+
+
 def test_a_logged_run_replays_to_the_same_digests(tmp_path: Path) -> None:
     vehicle, config = _late(flights.flight().recording, 3), flights.config()
     path = tmp_path / "run.mcap"
     with LogWriter(path, config_toml="", metadata={}) as log:
         log.describe(vehicle)
-        engine = play(vehicle, config, lambda samples, _: log.samples(samples, vehicle.name))
+
+        def sink(samples: AnySamples, out: Outputs) -> None:
+            log.samples(samples, vehicle.name)
+            log.outputs(out, vehicle.name)
+
+        engine = play(vehicle, config, sink)
         log.close({"digest": engine.digest, "digest_published": engine.digest_published})
     again = read_run(path).vehicles[0]
     assert len(again.raw[0]) == len(vehicle.raw[0])
     assert len(again.broadcast[0]) == len(vehicle.broadcast[0])
+    skies = _messages(path, "nav/satellites")
+    assert len(skies) == len(vehicle.raw[0])
+    assert 6 <= skies[-1].used <= 30
+    assert 1.0 < skies[-1].pdop < skies[-1].gdop < 5.0
     replayed = play(again, config)
     assert replayed.digest == engine.digest
     assert replayed.digest_published == engine.digest_published
