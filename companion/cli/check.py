@@ -29,6 +29,10 @@ def check_config(console: Console, path: Path, seconds: float) -> dict[str, Any]
     compile_kernels(parts_of(config))
     with present.notice_if_slow(console, "Loading …"):
         from companion.runtime.check.listen import listen
+        from companion.runtime.start import hear_an_autopilot
+
+        # What is loaded when the first message comes is not there to listen.
+        hear_an_autopilot()
     with present.progress(console, f"Listening for {seconds:g} s") as update:
         heard = listen(config, path.parent, seconds, update)
     found = findings(config, heard)

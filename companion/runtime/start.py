@@ -130,7 +130,7 @@ def _warmed(config: Config, path: Path, notes: list[str]) -> tuple[Config, Saved
 def warm_up(config: Config) -> None:
     """Run everything that a sample goes through once, so that none in flight is the first."""
     if config.mavlink.endpoint:
-        _hear_an_autopilot()
+        hear_an_autopilot()
     engine = Engine(config)
     n = 300
     t = NS * 1_700_000_000 + np.arange(n) * (NS // 100)
@@ -171,7 +171,7 @@ def _see_satellites(engine: Engine, t_ns: int) -> None:
     engine.step(RawGnssSamples("raw", one, one, one, week, tow, sat, 0 * sat, *columns))
 
 
-def _hear_an_autopilot() -> None:
+def hear_an_autopilot() -> None:
     """Framer, decoder and converter, with a stranger's messages and a session of nobody."""
     packer, now = Packer(system=1, component=1), NS * 1_700_000_000
     beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_GENERIC, 0, 0, 4, 3)

@@ -64,7 +64,8 @@ def test_every_sample_went_in(flown: dict[str, Any]) -> None:
     # A machine with no time for the adapter overflows its small buffer, and the vehicle counts it.
     if not flown["vehicle"]["can_bytes_dropped"]:
         assert counters["can-imu.incomplete"] == counters["can-imu.lost"] == 0
-        assert counters["can-imu.samples"] * 7 == counters["can-imu.frames"]
+        # The end may have come in the middle of a sample's seven frames.
+        assert 0 <= counters["can-imu.frames"] - 7 * counters["can-imu.samples"] < 7
     assert counters["can-imu.samples"] == counters["engine.imu"]
     assert counters["can-imu.samples"] >= 0.9 * 200.0 * SECONDS
     assert flown["vehicle"]["timesync_answers"] > 0
