@@ -54,7 +54,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 RADIUS_M = 6_371_000.0
 LAT, LON = math.radians(32.8257), math.radians(34.956)
 T0_NS = 1_700_000_000 * NS
-FIX_STEP, OUTAGE_S, SEEDS = 5, 5.0, 10
+FIX_STEP, OUTAGE_S, SEEDS = 5, 5.0, 3
 
 
 def _table(path: Path) -> tuple[list[str], F64]:

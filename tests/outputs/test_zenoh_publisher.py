@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,27 @@ def matched(publisher: ZenohPublisher, *names: str) -> None:
         lambda: all(live.publishers[n].matching_status.matching for n in names or ("nav/state",)),
         "subscriptions known",
     )
+
+
+def test_each_estimator_of_a_bank_has_a_key_of_its_own(
+    publisher: ZenohPublisher, session: zenoh.Session
+) -> None:
+    samples = listening(session, "companion/v1/nav/estimators/*")
+    first, second = solution(), solution(first=1)
+    out = replace(outputs(first), members=(("direct", first), ("fuzzy+no-mag", second)))
+    # A key is declared when its estimator first has something to say; who listens is known later.
+    publisher.publish(out, time.monotonic_ns())
+    matched(publisher, "nav/estimators/direct", "nav/estimators/fuzzy+no-mag")
+    later = solution(first=50)
+    publisher.publish(
+        replace(out, members=(("direct", later), ("fuzzy+no-mag", later))), time.monotonic_ns()
+    )
+    keys, newest = set(), 0
+    while newest < int(later.t_ns[0]) or len(keys) < 2:
+        sample = samples.get(timeout=PATIENCE_S)
+        keys.add(str(sample.key_expr).removeprefix("companion/v1/nav/estimators/"))
+        newest = max(newest, navigation_pb2.NavState.FromString(sample.payload.to_bytes()).t_ns)
+    assert keys == {"direct", "fuzzy+no-mag"}
 
 
 def test_state_arrives_with_schema_latency_and_exact_bits(

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config import Config
+from companion.config import Bank, Config, FurtherImu
 from companion.types import NS, ImuSamples, MagSamples, VehicleRecording
 from replay.player import play
 from replay.run_log import read_run, read_solution
@@ -164,6 +164,30 @@ def test_two_imus_of_which_one_is_used(copter: Flight, tmp_path: Path) -> None:
     counts = [len(s) for s in recording.imu]
     assert min(counts) > 0.99 * max(counts)
     assert flown.summary["inputs"][0]["source"] == "front"
+
+
+def test_two_imus_fused_under_a_bank_with_one_that_falls_silent(
+    copter: Flight, tmp_path: Path
+) -> None:
+    vehicle, config = copter
+    config = msgspec.structs.replace(
+        flights.with_can(config, "front", "rear"),
+        imu=msgspec.structs.replace(config.imu, source="front"),
+        further_imu=(FurtherImu(source="rear"),),
+        bank=Bank(estimators=("error-state", "error-state+one-imu")),
+    )
+    second = [
+        replace(f, t_ns=f.t_ns + 1_300_000)
+        for f in _without(can_frames(vehicle.imu[0], 51), 8.0, 10.0)
+    ]
+    arrivals = [*can_frames(vehicle.imu[0]), *second, *_aids(vehicle)]
+    flown = flights.fly(arrivals, config, tmp_path / "run.mcap")
+    _same(flown)
+    said = [e.kind for e in read_solution(flown.path).events]
+    assert "imu-excluded" in said
+    counters = flown.summary["counters"]
+    assert counters["rear.exclusions"] == 1
+    assert counters["bank.switches"] == 0
 
 
 def test_the_second_imu_by_name(copter: Flight, tmp_path: Path) -> None:
