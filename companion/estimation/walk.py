@@ -210,7 +210,9 @@ def fuse_gnss(
         good = fuse(s, lay, par, ipar, half, source, barred, H, y, R, m, W, reports[count], tape)
         reports_t[count] = t
         count += 1
-        taken |= good
+        # What a smoother on line waits for: a place, where the fix has one; with its velocity alone
+        # an outage would be smoothed while the place is on probation behind it.
+        taken |= good and half == (0 if z[A_VALUE] == z[A_VALUE] else 2)
         if half == 0 and good:
             k[T_POSITION_AID] = t
         elif half == 2 and good:

@@ -130,6 +130,8 @@ def _as_the_paper(config: Config, heading_deg: float) -> Config:
         constraints=change(
             config.constraints, non_holonomic=False, course=False, zero_velocity=False
         ),
+        # The paper's filter takes every fix; ours would wait for a second one behind an outage.
+        source_faults=change(config.source_faults, detect=False),
         alignment=change(config.alignment, heading="fixed", fixed_heading_deg=heading_deg),
         mag=change(config.mag, sd_deg=_HEADING_SD_DEG),
         # Coasting for a minute, and fixes 20 s apart, are what this is about.
