@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.config import Config
 from companion.estimation import update as up
@@ -330,23 +331,23 @@ class Engine:
         Reports stand in order of time: those later than ``until`` are new, and stay.
         """
         buffer = self.filter.reports
-        again = mark + int(buffer.t[mark : buffer.end].searchsorted(until, side="right"))
-        wanted = set(new.t.tolist())
-        kept = mark
-        for at, t in enumerate(buffer.t[mark:again].tolist(), mark):
-            if t in wanted and self._is_of(buffer.rows[at], new):
-                buffer.t[kept], buffer.rows[kept] = t, buffer.rows[at]
-                kept += 1
-        if kept < again:
-            end = kept + buffer.end - again
-            buffer.t[kept:end] = buffer.t[again : buffer.end].copy()
-            buffer.rows[kept:end] = buffer.rows[again : buffer.end].copy()
-            buffer.end = end
-
-    @staticmethod
-    def _is_of(report: F64, aid: Admitted) -> bool:
-        kind = _KIND_OF_CHANNEL[int(report[up.R_CHANNEL])]
-        return bool(kind == aid.kind and report[up.R_SOURCE] in aid.source)
+        t = buffer.t[mark : buffer.end]
+        count = int(t.searchsorted(until, side="right"))
+        if count == 0:
+            return
+        rows = buffer.rows[mark : mark + count]
+        kept = np.flatnonzero(
+            (_KIND_OF_CHANNEL[rows[:, up.R_CHANNEL].astype(np.int64)] == new.kind)
+            & _among(t[:count], new.t)
+            & _among(rows[:, up.R_SOURCE], new.source)
+        )
+        if len(kept) == count:
+            return
+        stay = np.concatenate((kept, np.arange(count, len(t))))
+        end = mark + len(stay)
+        buffer.t[mark:end] = t[stay]
+        buffer.rows[mark:end] = buffer.rows[mark : buffer.end][stay]
+        buffer.end = end
 
     def _one_by_one(self, imu: ImuSamples, aids: Sequence[AidingSamples]) -> Outputs:
         """A block's arrivals each in a step of its own."""
@@ -407,3 +408,11 @@ class Engine:
             self._aids.forget(head - self._ring_ns - KEEP_NS)
         if len(self._aids) > 1:
             self._aids.forget(int(self._aids.t[self._aids.end - 1]) - WAITING_NS)
+
+
+def _among(values: F64 | I64, wanted: I64) -> NDArray[np.bool_]:
+    """(N,) which of ``values`` are among ``wanted``, nearly always one."""
+    found: NDArray[np.bool_] = values == wanted[0]
+    for one in wanted[1:]:
+        found |= values == one
+    return found

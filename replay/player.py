@@ -16,6 +16,7 @@ from companion.config import Config
 from companion.config.settings import uses_direct
 from companion.engine import CLOCK_BACK_NS, NOTHING, Engine
 from companion.intake.fusion.fusion import fuses
+from companion.intake.inertial import CHUNK
 from companion.outlet import with_smoothed
 from companion.selection import Thinner, in_turn
 from companion.types import (
@@ -29,7 +30,7 @@ from companion.types import (
     VehicleRecording,
 )
 
-BLOCK_S = 10.0
+BLOCK_S = 30.0
 """Longest IMU block handed over at once, so that outputs are drained regularly."""
 
 Sink = Callable[[AnySamples, Outputs], None]
@@ -190,7 +191,7 @@ def blocks(
     imu = choose_imu(vehicle, config)
     streams = choose_aids(vehicle, config)
     step = np.median(np.diff(imu.t_ns)) if len(imu) > 1 else NS
-    size = max(1, int(block_s * NS / max(step, 1)))
+    size = min(max(1, int(block_s * NS / max(step, 1))), CHUNK)
     begins = np.arange(0, max(len(imu), 1), size)
     # A block takes what arrived before the next one begins.
     ends = [np.append(np.searchsorted(s.seq, imu.seq[begins[1:]]), len(s)) for s in streams]

@@ -12,7 +12,7 @@ from companion.estimation.phases import Check, Filter, Phase, Setup
 from companion.estimation.recording import Tape
 from companion.estimation.source_faults import forget
 from companion.navigation import layout as lo
-from companion.navigation.rotation import rotate_nav, rpy_from_quat
+from companion.navigation.rotation import rotate_nav, yaw_of
 from companion.types import F64, I64, NS, Event, Mode
 
 OVERLAP = 2.0
@@ -48,7 +48,7 @@ def find_heading(setup: Setup, phase: Phase, t: int) -> tuple[Phase, Event] | No
     best, sd = mixture(
         np.array([s[lo.LOG_LIKELIHOOD] for s in states]),
         np.array([s[lo.BANK_NIS] / max(s[lo.BANK_DOF], 1.0) for s in states]),
-        np.array([rpy_from_quat(s[:4])[2] for s in states]),
+        np.array([yaw_of(s) for s in states]),
         np.array([setup.covariance(s)[8, 8] for s in states]),
     )
     phase.checks = [*phase.checks[-8:], Check(t, best, sd)]
@@ -70,7 +70,7 @@ def find_heading(setup: Setup, phase: Phase, t: int) -> tuple[Phase, Event] | No
         found.tape, f.tape = f.tape, None
     new = Phase(t + 1, Mode.NAVIGATING, [found], resets=phase.resets)
     new.checks = [Check(t)]
-    yaw = math.degrees(rpy_from_quat(s[:4])[2]) % 360
+    yaw = math.degrees(yaw_of(s)) % 360
     text = (
         f"heading {yaw:.0f}° ± {math.degrees(sd):.1f}° found from motion "
         f"{(t - phase.start_ns) / NS:.1f} s after the start"

@@ -32,6 +32,8 @@ class ErrorStateFilter:
         self.phases = [Phase(np.iinfo(np.int64).min, Mode.ALIGNING)]
         self.rows = SampleBuffer(w.ROW_SIZE)
         self.reports = SampleBuffer(REPORT_SIZE)
+        self._unread = SampleBuffer(w.ROW_SIZE), SampleBuffer(REPORT_SIZE)
+        """What filters of the bank put out beside the one that is published."""
         self.events: list[Event] = []
         self.stretches: list[Stretch] = []
         """Inputs between declared breaks, where they are kept."""
@@ -131,23 +133,20 @@ class ErrorStateFilter:
         setup = self.setup
         many = phase.mode is Mode.HEADING_UNKNOWN
         ip = setup.ipar_bank if many else setup.ipar
-        n_rows = min(stop - i, span // int(ip[par.OUTPUT_NS]) + 2)
+        n_rows = min(stop - i, span // setup.output_ns + 2)
         m = aids.end - j
-        constraints = 2 * (span // int(ip[par.STILL_NS]) + 2)
-        if ip[par.CONSTRAINT_NS]:
-            constraints += span // int(ip[par.CONSTRAINT_NS]) + 2
+        constraints = 2 * (span // setup.still_ns + 2)
+        if setup.constraint_ns:
+            constraints += span // setup.constraint_ns + 2
         # At most three a sample, however far apart their stamps are.
         n_reports = 7 * m + min(constraints, 3 * (stop - i))
-        n_steps = m + n_reports + span // int(ip[par.COVARIANCE_NS]) + 2
+        n_steps = m + n_reports + span // setup.covariance_ns + 2
         best = phase.checks[-1].best
         since = int(phase.filters[best].k[lo.T_NOW])
         taken = i, j
         code, new_rows = w.DONE, 0
         for index, f in enumerate(phase.filters):
-            rows = self.rows if index == best else SampleBuffer(w.ROW_SIZE, capacity=n_rows)
-            reports = (
-                self.reports if index == best else SampleBuffer(REPORT_SIZE, capacity=n_reports)
-            )
+            rows, reports = (self.rows, self.reports) if index == best else self._unread
             rows._room(n_rows)
             reports._room(n_reports)
             at = np.array([i, stop, j, aids.end, rows.end, reports.end], np.int64)
@@ -167,6 +166,9 @@ class ErrorStateFilter:
             code = max(code, int(c))
             if index == best:
                 taken = int(at[0]), int(at[2])
+            else:
+                rows.clear()
+                reports.clear()
         if setup.keeps_inputs:
             self._keep(phase.filters[best], since, imu, (i, taken[0]), aids, (j, taken[1]), many)
         if many:

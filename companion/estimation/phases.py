@@ -13,6 +13,8 @@ from companion.estimation.running_tape import RunningTape
 from companion.navigation import layout as lo
 from companion.types import F64, I64, NS, Mode
 
+_NEVER = int(np.iinfo(np.int64).min)
+
 
 @dataclass(slots=True)
 class Filter:
@@ -34,24 +36,23 @@ class Filter:
             s,
             k,
             np.zeros((slots, len(s))),
-            np.full((slots, len(k)), np.iinfo(np.int64).min),
+            np.full((slots, len(k)), _NEVER),
             (s.copy(), k.copy()),
             tape,
         )
 
     def restore(self, before: int) -> None:
         """Back to the newest snapshot older than ``before``, or to the beginning."""
-        never = np.iinfo(np.int64).min
         times = self.snaps_k[:, lo.T_NOW].tolist()
-        newest = max((t for t in times if t < before), default=never)
-        if newest > never:
+        newest = max((t for t in times if t < before), default=_NEVER)
+        if newest > _NEVER:
             slot = times.index(newest)
             self.s[:], self.k[:] = self.snaps[slot], self.snaps_k[slot]
         else:
             self.s[:], self.k[:] = self.first
         for slot, t in enumerate(times):
             if t >= before:
-                self.snaps_k[slot] = never
+                self.snaps_k[slot, lo.T_NOW] = _NEVER
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +97,12 @@ class Setup:
         self.ipar[par.BASE_MODE] = Mode.NAVIGATING
         self.ipar_bank[par.BANK] = 1
         self.ipar_bank[par.BASE_MODE] = Mode.HEADING_UNKNOWN
+        # As Python's numbers: asked at every call, and live that is at every sample.
+        self.output_ns = int(self.ipar[par.OUTPUT_NS])
+        self.still_ns = int(self.ipar[par.STILL_NS])
+        self.covariance_ns = int(self.ipar[par.COVARIANCE_NS])
+        self.constraint_ns = int(self.ipar[par.CONSTRAINT_NS])
+        """0: no constraint on a grid."""
         ring_ns = round(config.engine.delay_ring_s * NS)
         self.slots = ring_ns // int(self.ipar[par.SNAPSHOT_NS]) + 3
         self._record = record

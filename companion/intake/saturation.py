@@ -30,6 +30,11 @@ class SaturationWatch:
         """(N,) what is at its end, as the walk's column says it; in the sensor's own axes."""
         if not self.watching:
             return 0.0
+        gyro_most = np.abs(block.gyro_b).max(initial=0.0)
+        accel_most = np.abs(block.accel_b).max(initial=0.0)
+        # Nearly always; what is no number is looked at sample by sample.
+        if gyro_most < self._gyro and accel_most < self._accel:
+            return np.zeros(len(block))
         gyro = np.abs(block.gyro_b).max(axis=1) >= self._gyro
         accel = np.abs(block.accel_b).max(axis=1) >= self._accel
         return np.where(accel, ACCEL, 0.0) + np.where(gyro, GYRO, 0.0)

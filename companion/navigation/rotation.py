@@ -98,6 +98,12 @@ def rpy_from_quat(q_nb: F64) -> F64:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
+def yaw_of(q_nb: F64) -> float:
+    """Yaw [rad] of one quaternion, the first four of ``q_nb``; as :func:`rpy_from_quat`."""
+    w, x, y, z = q_nb[:4].tolist()
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
 def matrix_from_quat(q_nb: F64) -> F64:
     """C_nb (3, 3) of one quaternion (4,)."""
     C = np.empty((3, 3))
