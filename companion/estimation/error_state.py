@@ -21,7 +21,7 @@ from companion.estimation.recording import Recording, Tape, nothing
 from companion.estimation.stretch import Stretch
 from companion.estimation.update import REPORT_SIZE
 from companion.navigation import layout as lo
-from companion.types import NS, Event, Mode
+from companion.types import F64, NS, Event, Mode
 
 
 class ErrorStateFilter:
@@ -144,7 +144,8 @@ class ErrorStateFilter:
         best = phase.checks[-1].best
         since = int(phase.filters[best].k[lo.T_NOW])
         taken = i, j
-        code, new_rows = w.DONE, 0
+        code = w.DONE
+        told: list[F64] = []
         for index, f in enumerate(phase.filters):
             rows, reports = (self.rows, self.reports) if index == best else self._unread
             rows._room(n_rows)
@@ -161,9 +162,10 @@ class ErrorStateFilter:
             if f.tape is not None:
                 new = slice(rows.end, int(at[4]))
                 f.tape.wrote(rows.t[new], rows.rows[new], f.s, f.k)
-            new_rows = int(at[4]) - rows.end if index == best else new_rows
-            rows.end, reports.end = int(at[4]), int(at[5])
+            first, rows.end, reports.end = rows.end, int(at[4]), int(at[5])
             code = max(code, int(c))
+            if many:
+                told.append(rows.rows[first : rows.end].copy())
             if index == best:
                 taken = int(at[0]), int(at[2])
             else:
@@ -172,7 +174,9 @@ class ErrorStateFilter:
         if setup.keeps_inputs:
             self._keep(phase.filters[best], since, imu, (i, taken[0]), aids, (j, taken[1]), many)
         if many:
-            bank.widen_heading(phase, self.rows.rows[self.rows.end - new_rows : self.rows.end])
+            published = self.rows.rows[self.rows.end - len(told[best]) : self.rows.end]
+            bank.widen_heading(phase, published)
+            bank.widen_rest(phase, published, told)
         return code
 
     def _keep(

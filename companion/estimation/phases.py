@@ -64,6 +64,8 @@ class Check:
     """Likeliest hypothesis."""
     heading_sd: float = 0.0
     """Standard deviation of the heading over all hypotheses [rad]."""
+    weights: tuple[float, ...] = (1.0,)
+    """Of the hypotheses; together 1."""
 
 
 @dataclass(slots=True)

@@ -273,6 +273,6 @@ def _relearn_heading(setup: Setup, s: F64, k: I64, t: int) -> tuple[Phase, Event
     P[8, 8] = (math.pi / setup.config.alignment.hypotheses) ** 2
     s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = par.initial_biases(setup.config)[0]
     new = Phase(t + 1, Mode.HEADING_UNKNOWN, spread_headings(setup, s, k))
-    new.checks = [Check(t, 0, math.pi)]
+    new.checks = [Check(t, 0, math.pi, (1.0 / len(new.filters),) * len(new.filters))]
     text = "velocity does not fit GNSS for seconds: heading is searched for again"
     return new, Event(t, "heading-lost", text, "warning")

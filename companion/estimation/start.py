@@ -110,7 +110,7 @@ def _begin(
     filters = [_initial(setup, phase, imu, aids, site, lev, known, h) for h in headings]
     mode = Mode.HEADING_UNKNOWN if unknown else Mode.NAVIGATING
     new = Phase(t, mode, filters, resets=phase.resets)
-    new.checks = [Check(t, 0, math.pi)]
+    new.checks = [Check(t, 0, math.pi, (1.0 / len(filters),) * len(filters))]
     state = "at rest" if lev.static else "in motion"
     said = (
         "heading unknown, to be found from motion"

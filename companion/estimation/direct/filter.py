@@ -191,7 +191,7 @@ class DirectFilter:
     def _find_heading(self, phase: Phase, t: int) -> tuple[Phase, Event] | None:
         """Judge the bank at ``t``: the phase of its likeliest filter once the heading is known."""
         states = [f.s for f in phase.filters]
-        best, sd = bank.mixture(
+        best, sd, _ = bank.mixture(
             np.array([s[lo.LOG_LIKELIHOOD] for s in states]),
             np.array([s[lo.BANK_NIS] / max(s[lo.BANK_DOF], 1.0) for s in states]),
             np.array([rpy_from_quat(s[:4])[2] for s in states]),
