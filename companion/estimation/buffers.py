@@ -51,10 +51,11 @@ class SampleBuffer:
     def insert(self, t: int, row: F64, key: I64) -> None:
         """Put one entry at its place by (time, key): the order of arrival leaves no trace."""
         self._room(1)
-        at = self.end
+        # A late one has a whole block of others waiting behind it.
+        at = self.after(t)
         k0, k1 = int(key[0]), int(key[1])
-        while at > self.start and self.t[at - 1] >= t:
-            if self.t[at - 1] == t and (self.key[at - 1, 0], self.key[at - 1, 1]) <= (k0, k1):
+        while at > self.start and self.t[at - 1] == t:
+            if (self.key[at - 1, 0], self.key[at - 1, 1]) <= (k0, k1):
                 break
             at -= 1
         if at < self.end:
