@@ -294,6 +294,9 @@ class Engine:
             self.filter.rewind(int(back.t.min()))
             self.filter.advance(self._imu, self._aids)
             self._keep_new_reports(mark, until, back)
+            # A late first fix begins in the past: what that reaches is published as of now, and not
+            # as of the next aid that comes before an inertial sample does.
+            self._outlet.publish(self.filter)
 
     def _walk_between(self, t: I64, rows: F64, late: list[tuple[int, int, Admitted]]) -> None:
         """Walk new inertial samples; at the place of each late aid, go back for it.

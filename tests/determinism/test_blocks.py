@@ -66,6 +66,21 @@ def test_late_aiding_in_blocks_gives_what_arrivals_in_turn_give(name: str) -> No
     assert one.counters.refused["refused_late"] > 10
 
 
+def test_aiding_in_bursts_gives_what_arrivals_in_turn_give() -> None:
+    """A link that hands on five times a second: fix, pressure and field between the same samples.
+
+    The first fix is late, so that navigation begins in the past: what it reaches is published
+    before the pressure behind it, which has to be the same epochs in both.
+    """
+    vehicle, config = flight_of("multirotor-mission", "unknown")
+    burst = 200_000_000
+    vehicle = with_arrivals(vehicle, lambda t: t + 50_000_000 - t % -burst)
+    one, _ = _in_turn(vehicle, config)
+    two, _ = _in_blocks(vehicle, config)
+    assert two.digest == one.digest
+    assert two.digest_published == one.digest_published
+
+
 def test_settled_epochs_come_once_though_a_snapshot_lies_before_the_ring() -> None:
     vehicle, config = _late("car-with-stops", 2)
     _, outputs = _in_turn(vehicle, config)
