@@ -17,6 +17,8 @@ from companion.config import Config
 from companion.engine import CLOCK_BACK_NS, Engine
 from companion.estimation.recording import Recording, Tape
 from companion.estimation.stretch import Stretch
+from companion.intake.counters import Counters
+from companion.intake.fusion.fusion import ImuFusion, fuses
 from companion.types import (
     I64,
     NS,
@@ -88,9 +90,10 @@ def record(
     if rate_hz is not None:
         engine_config = msgspec.structs.replace(config.engine, output_rate_hz=rate_hz)
         config = msgspec.structs.replace(config, engine=engine_config)
-    imu = choose_imu(vehicle, config)
+    events: list[Event] = []
+    imu, others = _inputs(vehicle, config, events)
     ring_ns = round(config.engine.delay_ring_s * NS)
-    aids = [_in_time(a, imu, config, ring_ns) for a in choose_aids(vehicle, config)]
+    aids = [_in_time(a, imu, config, ring_ns) for a in others]
     if inputs and config.raw_gnss.coupling == "tight":
         raise ConfigError(
             "key 'raw_gnss.coupling': a 'tight' run does not go backwards in time, as two-filter "
@@ -100,7 +103,6 @@ def record(
     engine = Engine(config, _recording(covariance, tape, inputs))
     settled: list[Solution] = []
     reports: list[AidingReports] = []
-    events: list[Event] = []
     for samples in _in_order(imu, aids, sessions, config):
         out = engine.step(samples)
         settled.append(out.settled)
@@ -121,6 +123,19 @@ def record(
         events=tuple(events),
         digest=engine.digest,
     )
+
+
+def _inputs(
+    vehicle: VehicleRecording, config: Config, events: list[Event]
+) -> tuple[ImuSamples, list[AidingSamples]]:
+    """Inertial samples, of several units made one as the engine does, and the aiding streams."""
+    imu, aids = choose_imu(vehicle, config), choose_aids(vehicle, config)
+    if not fuses(config):
+        return imu, aids
+    further = [a for a in aids if isinstance(a, ImuSamples)]
+    fused, told = ImuFusion(config, Counters()).take([imu, *further])
+    events.extend(told)
+    return fused, [a for a in aids if not isinstance(a, ImuSamples)]
 
 
 def _recording(covariance: bool, tape: bool, inputs: bool) -> Recording:

@@ -9,6 +9,8 @@ import numpy as np
 from companion.engine import Engine
 from companion.types import NS, VehicleRecording
 from replay.player import arrivals, play
+from replay.recorded import record
+from replay.smoothing import smoothed
 
 from ..intake.flights import flown
 
@@ -51,3 +53,12 @@ def test_arrivals_in_turn_blocks_of_any_length_and_late_fixes_give_the_same_bits
     assert replace(long.counters, rewinds=0) == replace(turn.counters, rewinds=0)
     assert turn.fusion is not None
     assert turn.fusion.excluded() == {"imu2": "scaled"}
+
+
+def test_what_is_recorded_for_a_smoother_is_the_same_run() -> None:
+    simulation, config = flown("silent")
+    vehicle = _until(simulation.recording, simulation.t0_ns + 55 * NS)
+    run = record(vehicle, config)
+    assert run.digest == play(vehicle, config).digest
+    assert any(event.kind == "imu-excluded" for event in run.events)
+    assert len(smoothed(run, "bryson-frazier")) == len(run.solution)
