@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -67,14 +68,24 @@ def test_late_aiding_in_blocks_gives_what_arrivals_in_turn_give(name: str) -> No
 
 
 def test_aiding_in_bursts_gives_what_arrivals_in_turn_give() -> None:
-    """A link that hands on five times a second: fix, pressure and field between the same samples.
+    """A link that hands on five times a second: fix and pressure between the same samples.
 
     The first fix is late, so that navigation begins in the past: what it reaches is published
     before the pressure behind it, which has to be the same epochs in both.
     """
     vehicle, config = flight_of("multirotor-mission", "unknown")
+    # Where a field waits for its declination, a block is taken one by one anyway.
+    config = msgspec.structs.replace(config, mag=msgspec.structs.replace(config.mag, use=False))
+    end = int(vehicle.imu[0].t_ns[len(vehicle.imu[0]) // 8])
+    vehicle = replace(
+        vehicle,
+        imu=(vehicle.imu[0].take(vehicle.imu[0].t_ns < end),),
+        gnss=(vehicle.gnss[0].take(vehicle.gnss[0].t_ns < end),),
+        baro=tuple(b.take(b.t_ns < end) for b in vehicle.baro),
+        mag=(),
+    )
     burst = 200_000_000
-    vehicle = with_arrivals(vehicle, lambda t: t + 50_000_000 - t % -burst)
+    vehicle = with_arrivals(vehicle, lambda t: t - t % burst + burst + 50_000_000)
     one, _ = _in_turn(vehicle, config)
     two, _ = _in_blocks(vehicle, config)
     assert two.digest == one.digest
