@@ -25,7 +25,8 @@ fused within 2 s, and fitting. Without that witness filter and receiver disagree
 who errs: refused for 2 s the source is *latched* off, and ``gate_relock_s`` decides.
 
 After a gap that left position worth less than a fix, three fixes must agree among themselves before
-one is fused: the first would be believed to the metre.
+one is fused: the first would be believed to the metre. A receiver whose fixes always come seconds
+apart cannot do that; there the gate alone judges.
 
 Horizontal and vertical are two parts with the same state, side by side in the filter's; time going
 back restores it with the rest. Cumulative-sum tests of a drift: Basseville & Nikiforov 1993, ch. 2.
@@ -83,6 +84,7 @@ MISFIT = 14  # |fast − base|² [m²]
 MISFIT_VAR = 15  # its variance an axis without a fault [m²]
 REFUSED = 16  # fixes in a row that were not fused
 PULLED = 17  # (2) mean of the pull, as the base is of u: what the filter follows in good times
+STEP = 19  # between the last two fixes [s]; 0 before there were two
 
 # --- and of its integers; times in ns, 0 none
 T_LAST, T_BASE, T_STEADY, T_REFUSED, T_FAULT, STATE, NEWS, RELOCK, AFRESH, REPORTED = range(10)
@@ -301,7 +303,9 @@ def weigh(
     near = _square(f, LAST, u, m) <= AGREES * (2.0 * r + DRIFT_MPS * DRIFT_MPS)
     grown = max(0.0, here - f[AFTER_VAR]) * max(1.0, s[VELOCITY_FIT])
     _means(f, q, u, m, t, r, slow, tau, grown)
-    recent = (t - q[T_LAST]) * 1e-9 <= LONGEST_STEP_S
+    step, before = (t - q[T_LAST]) * 1e-9, f[STEP]
+    f[STEP] = step
+    recent = step <= LONGEST_STEP_S
     for i in range(m):
         f[LAST + i] = u[i]
     q[T_LAST] = t
@@ -310,7 +314,9 @@ def weigh(
             _take_back(f, q, u, m, r + slow * BASE_S / (BASE_S + tau) + f[DRIFT_VAR])
         else:
             q[AFRESH] = 0 if vouched else 1
-            if here - f[FUSED_VAR] > 4.0 * r + GAP_VAR:
+            # A receiver that is slow at all times has no neighbours to confirm a fix by.
+            slow_receiver = not recent and (before > LONGEST_STEP_S or before == 0.0)
+            if here - f[FUSED_VAR] > 4.0 * r + GAP_VAR and not slow_receiver:
                 q[AFRESH] = 1
                 f[AGREEING] = f[AGREEING] + 1.0 if near and recent else 0.0
                 if f[AGREEING] < CONFIRMING_FIXES:

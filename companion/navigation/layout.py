@@ -68,7 +68,7 @@ BANK_DOF = VIBRATION + 6  # and of its components
 SATURATING = VIBRATION + 7  # samples at the end of a range in the running quarter
 SATURATED = VIBRATION + 8  # 1 where there were some in the last full one
 SOURCE = VIBRATION + 9
-SOURCE_SIZE = 19
+SOURCE_SIZE = 20
 # --- adaptation: what is in force, and what it is drawn from (see estimation/adaptation)
 R_SCALE = SOURCE + 2 * SOURCE_SIZE  # factor on R, one a channel
 CHANNELS = 16

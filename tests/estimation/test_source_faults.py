@@ -129,6 +129,12 @@ def test_the_first_fix_after_a_gap_waits_for_others_that_agree_with_it() -> None
     assert (flown.reports.nis[row] < flown.reports.gate[row]).all()
 
 
+def test_a_receiver_that_is_always_slow_is_none_after_a_gap() -> None:
+    """A fix every 20 s: none of them has a neighbour, and none is refused for want of one."""
+    flown = fly(with_receiver("slow", GnssSpec(rate_hz=0.05)), 0)
+    assert flown.verdicts(40.0, 180.0) == {Verdict.ACCEPTED}
+
+
 def test_a_receiver_that_starts_at_a_wrong_place_does_not_lock_the_filter_out() -> None:
     """20 m off for its first 25 s: believed, then contradicted, and soon believed again."""
     off = Fault(start_s=0.0, length_s=25.0, step_n_m=(16.0, -12.0, 0.0))
