@@ -162,4 +162,4 @@ def test_a_replay_is_seen_as_a_live_run_is(replayed: str) -> None:
     assert kinds["gnss"].state == "ok"
     assert Channel.GNSS_POSITION_H in v.gates
     # Paced finely: at ten times real time, blocks of 40 ms carry 0.4 s of the log.
-    assert (times[-1] - times[0]) / 1e9 == pytest.approx(len(times) / 50, rel=0.2)
+    assert (times[-1] - times[0]) / 1e9 == pytest.approx(len(times) / 50, rel=0.35)
