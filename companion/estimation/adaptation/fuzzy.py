@@ -111,7 +111,8 @@ def attribute(s: F64, w: F64, channel: int, correlated: float) -> tuple[float, f
     model = 1.0
     if channel != _VEL_H and channel != _VEL_V:
         witness = WINDOWS + (_VEL_H if channel == 0 else _VEL_V) * WINDOW_SIZE
-        model = max(w[MOTION], 0.0 if channel == _MAG else s[witness + DRIFT])
+        # A field is turned by what carries it, most while that moves: no witness of the unit.
+        model = 0.0 if channel == _MAG else max(w[MOTION], s[witness + DRIFT])
     received = 1.0 - s[RECEPTION] if channel <= _VEL_V else 1.0
     model *= received
     return model, (received - model) * correlated
