@@ -202,6 +202,9 @@ def require_inputs(vehicle: VehicleRecording, minimum_hz: float = SLOW_HZ) -> No
     """
     if not vehicle.imu:
         raise LogFormatError(f"{vehicle.name}: no inertial measurements in the log")
+    # First what no filter can do without: the hint to another one would lead nowhere.
+    if not vehicle.raw and not has_inputs(vehicle):
+        raise LogFormatError(f"{vehicle.name}: no GNSS fix in the log")
     best = vehicle.imu[0]
     rate = rate_hz(best.t_ns)
     if rate < minimum_hz:
@@ -209,5 +212,3 @@ def require_inputs(vehicle: VehicleRecording, minimum_hz: float = SLOW_HZ) -> No
             f"{vehicle.name}: the best IMU stream, {best.source}, comes at {rate:.1f} Hz; "
             f'a strapdown filter needs at least {minimum_hz:g} Hz (engine.estimator = "direct")'
         )
-    if not vehicle.raw and not has_inputs(vehicle):
-        raise LogFormatError(f"{vehicle.name}: no GNSS fix in the log")
