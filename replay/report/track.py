@@ -29,8 +29,15 @@ def track(run: RunView) -> dict[str, Any] | None:
         ("forward", aligned),
         ("smoothed", run.smoothed),
     ):
-        if samples is not None and len(samples):
-            tracks.append(_columns(run, of, samples.t_ns, samples.lat, samples.lon, origin))
+        if samples is None:
+            continue
+        t = samples.t_ns
+        # A simulator's truth may go on behind the recording: what nobody flew is no track.
+        flown = np.flatnonzero((t >= run.vehicle.imu[0].t_ns[0]) & (t <= aligned.t_ns[-1]))
+        if len(flown):
+            tracks.append(
+                _columns(run, of, t[flown], samples.lat[flown], samples.lon[flown], origin)
+            )
     fixes, refused = _fixes(run, origin)
     return {
         "origin": [float(np.degrees(x)) for x in origin],
