@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from replay.bench import memory, speed, start, telemetry
+from replay.bench import memory, speed, start, telemetry, tight
 from replay.bench.measuring import Progress, machine, pinned
 
-Part = Literal["filter", "memory", "start", "tlog"]
+Part = Literal["filter", "tight", "memory", "start", "tlog"]
 PARTS: tuple[Part, ...] = get_args(Part)
 
 
@@ -28,6 +28,7 @@ def main(
     """
     measure: dict[Part, Callable[[Progress], dict[str, Any]]] = {
         "filter": lambda p: speed.filter_figures(duration_s, repeats, p),
+        "tight": lambda p: tight.tight_figures(repeats, p),
         "memory": memory.memory_figures,
         "start": lambda p: start.start_figures(repeats, p),
     }
@@ -47,6 +48,7 @@ def lines(figures: dict[str, Any]) -> list[str]:
     said = []
     for part, words in (
         ("filter", speed.filter_lines),
+        ("tight", tight.tight_lines),
         ("memory", memory.memory_lines),
         ("start", start.start_lines),
         ("tlog", telemetry.telemetry_lines),

@@ -9,13 +9,13 @@ import numpy as np
 
 from companion.config import Adaptation, Config
 from companion.types import F64, NS, ImuSamples, Samples, VehicleRecording
-from replay.simulator import load_scenario, matching_config, simulate
+from replay.simulator import Scenario, load_scenario, matching_config, simulate
 
 S = TypeVar("S", bound=Samples)
 
 
-def flight(duration_s: float, *, gnss_latency_ms: float = 0.0) -> tuple[VehicleRecording, Config]:
-    """The built-in hour's flight cut to ``duration_s``, with parameters that match it.
+def hour(duration_s: float, *, gnss_latency_ms: float = 0.0) -> tuple[Scenario, Config]:
+    """The built-in hour's flight cut to ``duration_s``, and parameters that match it.
 
     Neither barometer nor magnetometer: a peer without them shall see the same measurements.
     Fixes arrive ``gnss_latency_ms`` after the moment that their stamp names.
@@ -30,6 +30,12 @@ def flight(duration_s: float, *, gnss_latency_ms: float = 0.0) -> tuple[VehicleR
     )
     # What is timed is what runs unless it is told otherwise.
     config = replace(matching_config(scenario), adaptation=Adaptation())
+    return scenario, config
+
+
+def flight(duration_s: float, *, gnss_latency_ms: float = 0.0) -> tuple[VehicleRecording, Config]:
+    """The flight of :func:`hour` as recorded."""
+    scenario, config = hour(duration_s, gnss_latency_ms=gnss_latency_ms)
     return simulate(scenario, seed=0), config
 
 
