@@ -64,6 +64,19 @@ class SampleBuffer:
         self.t[at], self.key[at], self.rows[at] = t, key, row
         self.end += 1
 
+    def merge(self, t: I64, rows: F64, key: I64) -> None:
+        """Put entries at their places by (time, key), as :meth:`insert` does one by one."""
+        self._room(len(t))
+        first = self.after(int(t.min()) - 1)
+        old = slice(first, self.end)
+        every = np.concatenate((self.t[old], t))
+        keys = np.concatenate((self.key[old], key))
+        order = np.lexsort((keys[:, 1], keys[:, 0], every))
+        self.end += len(t)
+        new = slice(first, self.end)
+        self.rows[new] = np.concatenate((self.rows[old], rows))[order]
+        self.t[new], self.key[new] = every[order], keys[order]
+
     def after(self, t: int) -> int:
         """Index of the first entry later than ``t``."""
         # Live, it is nearly always one end or the other.

@@ -6,6 +6,7 @@ satellite can have, and pairs that contradict each other, until a third tells wh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,6 +54,18 @@ class _Known:
     received: int = 1
 
 
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """What :meth:`Ephemerides.table` answered, and the times within which it would so again."""
+
+    sats: bytes
+    begin: float
+    end: float
+    rows: F64
+    which: I64
+    without: dict[str, list[int]]
+
+
 @dataclass(slots=True)
 class Ephemerides:
     """All that was received, by satellite."""
@@ -62,6 +75,7 @@ class Ephemerides:
     """Messages refused when they came, by reason."""
     _of: dict[int, list[_Known]] = field(default_factory=dict)
     _chosen: dict[int, tuple[float, F64 | None, str]] = field(default_factory=dict)
+    _held: _Table | None = None
 
     def take(self, samples: BroadcastSamples) -> None:
         """Add what a receiver or a file broadcast; what cannot be is counted and dropped."""
@@ -78,6 +92,7 @@ class Ephemerides:
         self.refused[reason] = self.refused.get(reason, 0) + 1
 
     def _add(self, sat: int, row: F64) -> None:
+        self._held = None
         if not possible(row) or int(row[E_SAT]) != sat:
             self._refuse("impossible")
             return
@@ -135,20 +150,34 @@ class Ephemerides:
         return best.row, ""
 
     def table(self, sats: I64, week: int, tow: float) -> tuple[F64, I64, dict[str, list[int]]]:
-        """Ephemerides (M, 28) of satellites, the row of each or −1, and who has none for what."""
+        """Ephemerides (M, 28) of satellites, the row of each or −1, and who has none for what.
+
+        They are held: not to be written to.
+        """
+        now, asked = week * 604_800.0 + tow, sats.tobytes()
+        held = self._held
+        if held is None or held.sats != asked or not held.begin <= now < held.end:
+            held = self._held = self._table(asked, sats, week, tow)
+        return held.rows, held.which, held.without
+
+    def _table(self, asked: bytes, sats: I64, week: int, tow: float) -> _Table:
         which = np.full(len(sats), -1, np.int64)
         rows: list[F64] = []
         without: dict[str, list[int]] = {}
+        begin, end = -math.inf, math.inf
         for m, sat in enumerate(sats.tolist()):
             if sat == 0:
                 continue
             row, why = self.choose(sat, week, tow)
+            since_s = self._chosen[sat][0]
+            begin, end = max(begin, since_s), min(end, since_s + _CHOICE_S)
             if row is None:
                 without.setdefault(why, []).append(sat)
             else:
                 which[m] = len(rows)
                 rows.append(row)
-        return (np.array(rows) if rows else np.zeros((0, EPHEMERIS_SIZE))), which, without
+        table = np.array(rows) if rows else np.zeros((0, EPHEMERIS_SIZE))
+        return _Table(asked, begin, end, table, which, without)
 
     def __len__(self) -> int:
         return sum(len(known) for known in self._of.values())

@@ -108,6 +108,15 @@ def dilution(G: F64, systems: I64, m: int, out: F64) -> None:
     out[HDOP], out[VDOP], out[TDOP] = math.sqrt(horizontal), math.sqrt(M[2, 2]), math.sqrt(time)
 
 
+@njit("void(f8[:, ::1], f8[:, ::1])", cache=True)
+def lines_of_sight(sky: F64, lines: F64) -> None:
+    """``lines`` (M, 3): unit vectors towards azimuth and elevation ``sky`` (M, 2) [rad], NED."""
+    for s in range(sky.shape[0]):
+        flat = math.cos(sky[s, 1])
+        lines[s, 0], lines[s, 1] = flat * math.cos(sky[s, 0]), flat * math.sin(sky[s, 0])
+        lines[s, 2] = -math.sin(sky[s, 1])
+
+
 @njit("f8(f8[:, ::1], i8[::1], i8, i8, i8[::1])", cache=True)
 def best_set(G: F64, systems: I64, m: int, count: int, best: I64) -> float:
     """The ``count`` of ``m`` satellites with the smallest GDOP, over all combinations.

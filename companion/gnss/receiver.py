@@ -30,10 +30,10 @@ from companion.gnss.corrected import (
     correct,
     expected_range,
 )
-from companion.gnss.geometry import NO_DOP, best_set, dilution, geodetic
+from companion.gnss.geometry import NO_DOP, best_set, dilution, geodetic, lines_of_sight
 from companion.gnss.single_point import P_CLOCK, P_POS, P_RATE, POINT_SIZE, SOLVED, TOO_FEW, solve
 from companion.gnss.systems import SYSTEM_NAMES, satellite_name
-from companion.types import F64, I64, BroadcastSamples, Event, RawGnssSamples
+from companion.types import F64, I64, BroadcastSamples, Event, Flags, RawGnssSamples
 
 NAMES = tuple(name.lower() for name in SYSTEM_NAMES)
 FAULT_PROBABILITY = 1e-4
@@ -76,6 +76,19 @@ class Prepared:
     """The receiver's clock jumped in front of it, by more than this epoch can tell."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """A block of epochs, arranged for kernels."""
+
+    raw: RawGnssSamples
+    observed: F64
+    """(N, K, 6) as :func:`companion.gnss.corrected.correct` takes it."""
+    ours: Flags
+    """(N, K) satellites of the systems that are used."""
+    whole: bool
+    """They have a pseudorange each."""
+
+
 class Receiver:
     """State of one stream of raw measurements."""
 
@@ -87,8 +100,9 @@ class Receiver:
         """Epochs of four satellites and more whose ranges fit no place."""
         self._place = np.zeros(3)
         self._place_s = -math.inf
-        self._clocks = np.full(3, np.nan)
+        self._block: _Block | None = None
         self._set: tuple[int, ...] = ()
+        self._seen = b""
         self._blamed: dict[int, str] = {}
         self._systems = {NAMES.index(name) for name in config.systems}
         noise = np.empty(NOISE_SIZE)
@@ -108,13 +122,13 @@ class Receiver:
         now = week * 604_800.0 + tow
         if abs(now - self._place_s) > GUESS_S:
             self._place[:] = 0.0
-        at = [k for k, s in enumerate(raw.sat[i].tolist()) if s // 100 - 1 in self._systems]
-        sat = raw.sat[i, at]
+        if self._block is None or self._block.raw is not raw:
+            self._block = self._arranged(raw)
+        at = self._block.ours[i].nonzero()[0]
+        sat, observed = raw.sat[i, at], self._block.observed[i, at]
         table, which, without = self.ephemerides.table(sat, week, tow)
-        columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate, raw.signal)
-        observed: F64 = np.stack([x[i, at] for x in columns], axis=1, dtype=np.float64)
-        observed[~np.isfinite(observed[:, 2]), 2] = self._noise[V_CN0]
-        which[~np.isfinite(observed[:, 0])] = -1
+        if not self._block.whole:
+            which = np.where(np.isfinite(observed[:, 0]), which, -1)
         rows, sky = np.empty((len(sat), ROW_SIZE)), np.empty((len(sat), 2))
         point, used = np.full(POINT_SIZE, np.nan), np.ones(len(sat), np.int64)
         code, m = TOO_FEW, 0
@@ -132,6 +146,16 @@ class Receiver:
                 break
         return self._finish(t_ns, now, rows[:m], sky[:m], used[:m], code, point, without)
 
+    def _arranged(self, raw: RawGnssSamples) -> _Block:
+        """A block's columns as kernels take them, once for all of its epochs."""
+        columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate, raw.signal)
+        observed: F64 = np.stack(columns, axis=2, dtype=np.float64)
+        cn0 = observed[:, :, 2]
+        cn0[~np.isfinite(cn0)] = self._noise[V_CN0]
+        ours = np.isin(raw.sat // 100 - 1, list(self._systems))
+        whole = bool(np.isfinite(raw.pseudorange[ours]).all())
+        return _Block(raw, observed, ours, whole)
+
     def _finish(
         self, t_ns: int, now: float, rows: F64, sky: F64, used: I64, code: int, point: F64,
         without: dict[str, list[int]],
@@ -142,23 +166,19 @@ class Receiver:
         jumps = self.clock.jumps
         offset = self._offset(now, rows, point if solved else None)
         let_go = self.clock.jumps > jumps
-        keep = np.ones(len(rows), np.bool_)
-        if solved and self.config.exclude:
-            # Judged by the residuals; the only one of its system was left out without judgement.
-            sats = rows[:, S_SAT].astype(np.int64)
-            counts = np.bincount(rows[:, S_SYSTEM].astype(np.int64), minlength=3)
-            alone = counts[rows[:, S_SYSTEM].astype(np.int64)] == 1
-            keep = (used == 1) | alone
-            excluded = tuple(sats[~keep].tolist())
-        elif not solved and code != TOO_FEW and self.config.exclude:
-            keep[:] = False
-        rows, sky = rows[keep], sky[keep]
-        chosen = self._choose(rows, sky)
-        rows, sky = rows[chosen].copy(), sky[chosen]
+        if self.config.exclude and code != TOO_FEW and not (solved and used.all()):
+            keep = np.zeros(len(rows), np.bool_)
+            if solved:
+                # Judged by the residuals; the only one of its system was left out unjudged.
+                systems = rows[:, S_SYSTEM].astype(np.int64)
+                keep = (used == 1) | (np.bincount(systems, minlength=3)[systems] == 1)
+                excluded = tuple(rows[~keep, S_SAT].astype(np.int64).tolist())
+            rows, sky = rows[keep], sky[keep]
+        rows, sky = self._choose(rows, sky)
         rows[:, S_RANGE] -= offset
-        dop = np.empty(5)
-        systems = rows[:, S_SYSTEM].astype(np.int64)
-        dilution(_lines(sky), systems, len(rows), dop)
+        dop, lines = np.empty(5), np.empty((len(rows), 3))
+        lines_of_sight(sky, lines)
+        dilution(lines, rows[:, S_SYSTEM].astype(np.int64), len(rows), dop)
         events = self._events(t_ns, rows, dop, excluded, without)
         if let_go:
             text = "the receiver's clock jumped: it is found again"
@@ -169,10 +189,9 @@ class Receiver:
     def _offset(self, now: float, rows: F64, point: F64 | None) -> float:
         """Clock offset to take off; without a solution, steps are looked for at the last place."""
         if point is not None:
-            clocks = point[P_CLOCK : P_CLOCK + 3]
-            self._clocks = np.where(np.isfinite(clocks), clocks, self._clocks)
-            first = int(np.flatnonzero(np.isfinite(clocks))[0])
-            bias = float(self._clocks[0] if first == 0 else clocks[first])
+            # Of the first system there is: one clock in all but the systems' biases.
+            clocks = point[P_CLOCK : P_CLOCK + 3].tolist()
+            bias = next(clock for clock in clocks if clock == clock)
             return self.clock.take(now, bias, float(point[P_RATE]))
         if self.clock.offset is None or not self._place.any() or len(rows) == 0:
             return self.clock.offset or 0.0
@@ -183,30 +202,34 @@ class Receiver:
         doubt = FASTEST_MPS * (now - self._place_s)
         return self.clock.take(now, float(np.median(seen)), math.nan, doubt)
 
-    def _choose(self, rows: F64, sky: F64) -> I64:
-        """Rows of the satellites to use: all, or the best set of the configured size."""
-        everyone = np.arange(len(rows))
+    def _choose(self, rows: F64, sky: F64) -> tuple[F64, F64]:
+        """The satellites to use: all, or the best set of the configured size."""
         count = self.config.best_of
         if self.config.choice == "all" or len(rows) <= count:
-            return everyone
+            return rows, sky
         best = np.empty(count, np.int64)
         systems = rows[:, S_SYSTEM].astype(np.int64)
-        lines = _lines(sky)
+        lines = np.empty((len(rows), 3))
+        lines_of_sight(sky, lines)
         found = best_set(lines, systems, len(rows), count, best)
         if found >= NO_DOP:
-            return everyone
+            return rows, sky
         old = np.flatnonzero(np.isin(rows[:, S_SAT], self._set))
         if len(old) == count:
             dop = np.empty(5)
-            dilution(np.ascontiguousarray(lines[old]), systems[old].copy(), count, dop)
+            dilution(lines[old], systems[old], count, dop)
             if dop[0] <= found * (1.0 + self.config.best_margin):
-                return old
-        return best
+                best = old
+        return rows[best], sky[best]
 
     def _events(
         self, t_ns: int, rows: F64, dop: F64, excluded: tuple[int, ...],
         without: dict[str, list[int]],
     ) -> tuple[Event, ...]:  # fmt: skip
+        asked = rows[:, S_SAT].tobytes()
+        if asked == self._seen and not (excluded or self._blamed or without.keys() - {"missing"}):
+            return ()
+        self._seen = asked
         events = []
         sats = tuple(sorted(rows[:, S_SAT].astype(np.int64).tolist()))
         if sats != self._set:
@@ -230,11 +253,3 @@ class Receiver:
         # What went out of sight is not news when it comes back.
         self._blamed = {s: why for s, why in (self._blamed | blamed).items() if s not in sats}
         return tuple(events)
-
-
-def _lines(sky: F64) -> F64:
-    """(M, 3) lines of sight, NED."""
-    azimuth, elevation = sky[:, 0], sky[:, 1]
-    flat = np.cos(elevation)
-    lines = (flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(elevation))
-    return np.ascontiguousarray(np.stack(lines, axis=1))

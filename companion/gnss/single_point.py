@@ -23,7 +23,7 @@ from companion.gnss.corrected import (
     line_of_sight,
     range_rate,
 )
-from companion.gnss.geometry import geodetic, invert_spd
+from companion.gnss.geometry import geodetic, invert_spd, ned_axes
 from companion.gnss.systems import SYSTEMS
 from companion.types import F64, I64
 
@@ -36,6 +36,10 @@ P_SUM, P_DOF = 10, 11
 P_COV, P_COV_VEL = 12, 21
 """Covariances (9,) of position and of velocity, ECEF."""
 POINT_SIZE = 30
+
+FIX_SIZE = 12
+"""Columns of a point as a fix: latitude, longitude, height, velocity NED, 1σ of place and velocity;
+NaN where unknown."""
 
 SOLVED, TOO_FEW, SINGULAR, FAULTY = 0, 1, 2, 3
 """FAULTY: the ranges contradict each other and too few are left to tell which is wrong."""
@@ -129,6 +133,7 @@ def least_squares(
     for i in range(3):
         x[i] = start[i]
     for turn in range(TURNS):
+        # The troposphere of a point that is still somewhere in the Earth means nothing.
         near = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]) > _EARTH
         if near:
             geodetic(x[0], x[1], x[2], here)
@@ -137,8 +142,7 @@ def least_squares(
         for s in range(m):
             if used[s] == 0:
                 continue
-            # The troposphere of a point that is still somewhere in the Earth means nothing.
-            if near and turn > 0:
+            if near:
                 r = expected_range(rows[s], x[:3], here, u)
             else:
                 r = line_of_sight(rows[s], x[0], x[1], x[2], u)
@@ -163,7 +167,8 @@ def least_squares(
             x[i] += dx
             if i < 3:
                 moved += dx * dx
-        if moved < 1e-6 and turn > 1:
+        # A step of d leaves d² / 4e7 m.
+        if moved < 1e-4 and turn > 0:
             break
     else:
         return SINGULAR
@@ -218,3 +223,24 @@ def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> i
             for s in range(m):
                 if int(rows[s, S_SYSTEM]) == system:
                     used[s] = 0
+
+
+@njit("void(f8[:, ::1], f8[:, ::1])", cache=True)
+def as_fixes(points: F64, fixes: F64) -> None:
+    """``fixes`` (N, :data:`FIX_SIZE`) from ``points`` (N, :data:`POINT_SIZE`)."""
+    axes = np.empty((3, 3))
+    for i in range(points.shape[0]):
+        p, fix = points[i], fixes[i]
+        geodetic(p[P_POS], p[P_POS + 1], p[P_POS + 2], fix)
+        ned_axes(fix[0], fix[1], axes)
+        for j in range(3):
+            velocity, var, var_velocity = 0.0, 0.0, 0.0
+            for a in range(3):
+                velocity += axes[j, a] * p[P_VEL + a]
+                for b in range(3):
+                    weight = axes[j, a] * axes[j, b]
+                    var += weight * p[P_COV + 3 * a + b]
+                    var_velocity += weight * p[P_COV_VEL + 3 * a + b]
+            fix[3 + j] = velocity
+            fix[6 + j] = math.sqrt(var) if var > 0.0 else np.nan
+            fix[9 + j] = math.sqrt(var_velocity) if var_velocity > 0.0 else np.nan

@@ -84,8 +84,7 @@ class Admitted:
         if self.t[0] > last and np.all(ahead > 0):
             table.append(self.t, self.rows, key)
         else:
-            for m, t in enumerate(self.t.tolist()):
-                table.insert(t, self.rows[m], key[m])
+            table.merge(self.t, self.rows, key)
 
 
 class AidIntake:

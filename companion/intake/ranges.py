@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.config import Config
-from companion.gnss.corrected import ROW_SIZE, S_RANGE_VAR, S_SAT
-from companion.gnss.geometry import geodetic, ned_axes
+from companion.gnss.corrected import S_RANGE_VAR, S_SAT
 from companion.gnss.receiver import Prepared, Receiver
-from companion.gnss.single_point import P_COV, P_COV_VEL, P_POS, P_VEL
+from companion.gnss.single_point import FIX_SIZE, as_fixes
 from companion.types import (
     F64,
     I64,
@@ -145,40 +144,28 @@ def _ranges(
     prepared: list[tuple[Prepared, RawGnssSamples, int]], inflation: list[float]
 ) -> RangeSamples:
     """Satellites of each epoch by number, the order in which they are fused."""
-    stamps, rows, let_go = [], [], []
-    for (p, arrival, m), factor in zip(prepared, inflation, strict=True):
-        own = p.rows[np.argsort(p.rows[:, S_SAT], kind="stable")]
-        own[:, S_RANGE_VAR] *= factor
-        rows.append(own)
-        stamps += [_stamps(arrival, m)] * len(p.rows)
-        let_go += [float(p.let_go and i == 0) for i in range(len(p.rows))]
-    t, rx, seq = np.array(stamps, np.int64).reshape(-1, 3).T
-    every = np.concatenate(rows).reshape(-1, ROW_SIZE)
+    counts = np.array([len(p.rows) for p, _, _ in prepared])
+    rows = np.concatenate([p.rows for p, _, _ in prepared])
+    epoch = np.repeat(np.arange(len(prepared)), counts)
+    rows = rows[np.lexsort((rows[:, S_SAT], epoch))]
+    rows[:, S_RANGE_VAR] *= np.array(inflation)[epoch]
+    let_go = np.zeros(len(rows))
+    first = np.cumsum(counts) - counts
+    let_go[first[[p.let_go and n > 0 for (p, _, _), n in zip(prepared, counts, strict=True)]]] = 1.0
+    t, rx, seq = np.array([_stamps(a, m) for _, a, m in prepared], np.int64)[epoch].T
     source = prepared[0][1].source
-    return RangeSamples(source, t.copy(), rx.copy(), seq.copy(), every, np.array(let_go))
+    return RangeSamples(source, t.copy(), rx.copy(), seq.copy(), rows, let_go)
 
 
 def _fixes(points: list[tuple[F64, RawGnssSamples, int]]) -> GnssSamples:
     """Least-squares solutions as fixes, with the deviations that they state."""
     n = len(points)
-    place, vel, sd_pos, sd_vel = np.empty((4, n, 3))
-    axes = np.empty((3, 3))
-    for i, (point, _, _) in enumerate(points):
-        geodetic(point[P_POS], point[P_POS + 1], point[P_POS + 2], place[i])
-        ned_axes(place[i, 0], place[i, 1], axes)
-        for j in range(3):
-            vel[i, j] = sum(axes[j, k] * point[P_VEL + k] for k in range(3))
-        for out, at in ((sd_pos, P_COV), (sd_vel, P_COV_VEL)):
-            for j in range(3):
-                var = sum(
-                    axes[j, a] * point[at + 3 * a + b] * axes[j, b]
-                    for a in range(3)
-                    for b in range(3)
-                )
-                out[i, j] = math.sqrt(var) if var > 0 else math.nan
+    fixes = np.empty((n, FIX_SIZE))
+    as_fixes(np.stack([point for point, _, _ in points]), fixes)
     stamps = np.array([_stamps(a, m) for _, a, m in points], np.int64).T
+    lat, lon, height = fixes[:, :3].T.copy()
     return GnssSamples(
-        SINGLE_POINT, stamps[0].copy(), stamps[1].copy(), stamps[2].copy(),
-        place[:, 0].copy(), place[:, 1].copy(), place[:, 2].copy(), vel, sd_pos, sd_vel,
+        SINGLE_POINT, stamps[0].copy(), stamps[1].copy(), stamps[2].copy(), lat, lon, height,
+        fixes[:, 3:6].copy(), fixes[:, 6:9].copy(), fixes[:, 9:].copy(),
         np.full(n, -1, np.int64), np.full(n, 3, np.int64),
     )  # fmt: skip
