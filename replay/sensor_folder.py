@@ -298,7 +298,8 @@ def read_folder(folder: Path) -> Recording:
     if (folder / "raw_gnss").is_dir():
         from replay.raw_gnss.folder import read_raw_folder
 
-        found = read_raw_folder(folder / "raw_gnss", _gnss_clock(config))
+        begins = int((imus or fixes)[0].t_ns[0])
+        found = read_raw_folder(folder / "raw_gnss", _gnss_clock(config), begins)
         raws, broadcasts = [found.raw], [found.broadcast]
         notes += found.notes
     imus, fixes, baros, mags, broadcasts, raws, truths = numbered(

@@ -18,7 +18,10 @@ class RawGnss(Section):
     source: str = "auto"
     """Stream name of the receiver, or ``auto`` for the first one."""
     endpoint: str = ""
-    """Live: a u-blox receiver's UBX, from a serial device or ``tcp:HOST:PORT``; empty: none."""
+    """Live: what the receiver sends, from a serial device or ``tcp:HOST:PORT``; empty: none."""
+    protocol: Literal["ublox", "rtcm3"] = "ublox"
+    """Of that line: u-blox UBX (RXM-RAWX, RXM-SFRBX, NAV-PVT), or RTCM 3 (MSM4 to MSM7 of GPS,
+    Galileo and BeiDou, ephemerides 1019, 1042, 1045, 1046)."""
     baud: int = 115_200
     """Of a serial device."""
     clock: Literal["utc", "gps"] = "utc"

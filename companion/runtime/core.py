@@ -46,7 +46,6 @@ REFERENCE_NS = NS
 """The autopilot's own solution is logged in blocks this long."""
 TICK_LINK = "tick"
 MAVLINK_LINK = "mavlink"
-RECEIVER_LINK = "ublox"
 CAN_FRAME = struct.Struct("<IB3x")
 """A logged CAN frame: identifier, length, then the data, as Linux lays out ``struct can_frame``."""
 EXTENDED = 0x8000_0000
@@ -159,6 +158,8 @@ class Core:
         self._decoders = decoders
         self._session = session
         self._receiver = receiver
+        self.receiver_link = config.raw_gnss.protocol
+        """Name of its line in the log and in health."""
         further = {unit.source for unit in config.further_imu}
         units = [d.source for link in decoders.values() for d in link if d.source not in further]
         self.selection = Selection(
@@ -216,9 +217,9 @@ class Core:
         """Bytes of a satellite receiver, cut anywhere."""
         if self._receiver is None:
             return
-        seq, now = self._next(RECEIVER_LINK, t_rx_ns)
+        seq, now = self._next(self.receiver_link, t_rx_ns)
         if self._raw:
-            self._writer.raw(RECEIVER_LINK, now, seq, data, self.vehicle)
+            self._writer.raw(self.receiver_link, now, seq, data, self.vehicle)
         for samples in self._receiver.feed(seq, now, data):
             if isinstance(samples, BroadcastSamples):
                 # Of no use but to raw measurements, and wanted before the first of them.
@@ -375,7 +376,7 @@ class Core:
             self.monitor.traffic(MAVLINK_LINK, counters.frames, counters.bad_crc)
         if self._receiver is not None:
             heard = self._receiver.counters
-            self.monitor.traffic(RECEIVER_LINK, heard["frames"], heard["malformed"])
+            self.monitor.traffic(self.receiver_link, heard["frames"], heard["malformed"])
         fusion = self.engine.fusion
         return self.monitor.report(
             t_ns, self.mode, self.selection.uses, self._driver_counts, loop, log, self.counters(),
@@ -404,7 +405,8 @@ class Core:
             if signing is not None:
                 out |= {f"mavlink.signing.{name}": n for name, n in asdict(signing).items()}
         if self._receiver is not None:
-            out |= {f"ublox.{name}": n for name, n in self._receiver.counters.items()}
+            heard, link = self._receiver.counters, self.receiver_link
+            out |= {f"{link}.{name}": n for name, n in heard.items()}
         return out
 
     def _smoothing_counters(self) -> dict[str, int]:

@@ -19,7 +19,7 @@ from companion.outputs.ground_link import GroundLink
 from companion.outputs.publisher import Publisher
 from companion.runtime.background import BackgroundFile
 from companion.runtime.clock import Reading, RunClock
-from companion.runtime.core import MAVLINK_LINK, RECEIVER_LINK, Core
+from companion.runtime.core import MAVLINK_LINK, Core
 from companion.runtime.latency import Latencies
 from companion.runtime.links import CanLink
 from companion.runtime.systemd import Notifier
@@ -212,7 +212,7 @@ class Loop:
         if p.receiver is not None:
             self._watch(p.receiver, opened=p.receiver.poll(now.run))
             for state, note in p.receiver.changes():
-                self.core.link(RECEIVER_LINK, state, note, now.run)
+                self.core.link(self.core.receiver_link, state, note, now.run)
         self.core.tick(now)
         self._send()
         self._note_log(now)

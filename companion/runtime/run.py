@@ -28,7 +28,7 @@ from companion.types import (
 )
 from drivers.mavlink import samples as mavlink_samples
 from drivers.mavlink.link import ReopeningLink
-from drivers.ublox.session import UbloxSession
+from drivers.receiver_session import receiver_session
 
 PREFERRED: dict[Kind, Sequence[str]] = {
     "imu": mavlink_samples.IMU,
@@ -123,7 +123,7 @@ def _assembled(
         start_ns=now_ns,
         decoders=decoders,
         session=session,
-        receiver=UbloxSession() if raw_gnss.endpoint else None,
+        receiver=receiver_session(raw_gnss.protocol) if raw_gnss.endpoint else None,
         preferred=PREFERRED,
         known=start.known,
         publish=loop.publish,

@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.gnss.gps_time import gps_ns
 from companion.gnss.messages.d1 import D1
 from companion.gnss.messages.inav import Inav
 from companion.gnss.messages.lnav import Lnav
-from companion.gnss.orbit import EPHEMERIS_SIZE
-from companion.types import F64, I64, SATELLITES, BroadcastSamples, GnssSamples, RawGnssSamples
+from companion.types import F64, BroadcastSamples, GnssSamples, RawGnssSamples
+from drivers.one_sample import Stamps, broadcast_sample, raw_sample, stamps
 from drivers.ublox.framer import Frame, Framer
 from drivers.ublox.messages import NAV_PVT, RXM_RAWX, RXM_SFRBX, Pvt, pvt, raw_epoch, subframe
 
@@ -75,10 +74,9 @@ class UbxDecoder:
         self.counters.other += 1
         return None
 
-    def _stamps(self, week: int, tow: float) -> tuple[I64, I64, I64]:
-        t = np.array([gps_ns(week, tow)], np.int64)
+    def _stamps(self, week: int, tow: float) -> Stamps:
         self._seq += 1
-        return t, t, np.array([self._seq], np.int64)
+        return stamps(week, tow, self._seq)
 
     def _raw(self, payload: bytes) -> RawGnssSamples | None:
         epoch = raw_epoch(payload)
@@ -88,15 +86,10 @@ class UbxDecoder:
         self._time = (epoch.week, epoch.tow)
         self.leap_s = epoch.leap_s if epoch.leap_s is not None else self.leap_s
         self.counters.epochs += 1
-        count = min(len(epoch.sat), SATELLITES)
-        sat, signal = np.zeros((2, 1, SATELLITES), np.int64)
-        sat[0, :count], signal[0, :count] = epoch.sat[:count], epoch.signal[:count]
-        columns = np.full((5, 1, SATELLITES), np.nan)
-        columns[:, 0, :count] = epoch.columns[:, :count]
-        return RawGnssSamples(
-            self.source, *self._stamps(epoch.week, epoch.tow), np.array([epoch.week], np.int64),
-            np.array([epoch.tow]), sat, signal, *columns,
-        )  # fmt: skip
+        at = self._stamps(epoch.week, epoch.tow)
+        return raw_sample(
+            self.source, at, epoch.week, epoch.tow, epoch.sat, epoch.signal, epoch.columns
+        )
 
     def _subframe(self, payload: bytes) -> BroadcastSamples | None:
         piece = subframe(payload)
@@ -114,10 +107,7 @@ class UbxDecoder:
     def _broadcast(self, sat: int, values: F64) -> BroadcastSamples:
         assert self._time is not None
         self.counters.ephemerides += sat > 0
-        row = np.zeros((1, EPHEMERIS_SIZE))
-        row[0, : len(values)] = values
-        stamps = self._stamps(*self._time)
-        return BroadcastSamples(self.source, *stamps, np.array([sat], np.int64), row)
+        return broadcast_sample(self.source, self._stamps(*self._time), sat, values)
 
     def _fix(self, payload: bytes) -> GnssSamples | None:
         fix = pvt(payload)
@@ -134,10 +124,10 @@ class UbxDecoder:
         return _gnss(self.source, fix, self._stamps(week, fix.tow))
 
 
-def _gnss(source: str, fix: Pvt, stamps: tuple[I64, I64, I64]) -> GnssSamples:
+def _gnss(source: str, fix: Pvt, at: Stamps) -> GnssSamples:
     one = np.array
     return GnssSamples(
-        source, *stamps, one([fix.lat]), one([fix.lon]), one([fix.height]), one([fix.vel_n]),
+        source, *at, one([fix.lat]), one([fix.lon]), one([fix.height]), one([fix.vel_n]),
         # A horizontal accuracy is that of both components together.
         one([[fix.sd_h / np.sqrt(2), fix.sd_h / np.sqrt(2), fix.sd_v]]),
         one([[fix.sd_vel / np.sqrt(3)] * 3]), one([fix.num_sats], np.int64),

@@ -49,6 +49,24 @@ def possible(o: Observation) -> bool:
     )
 
 
+def one_epoch(raw: RawGnssSamples) -> Epoch:
+    """A block of one epoch as a driver makes it."""
+    columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate)
+    rows = zip(raw.sat[0].tolist(), *(c[0].tolist() for c in columns), raw.signal[0].tolist(),
+               strict=True)  # fmt: skip
+    satellites = [Observation(*row) for row in rows if row[0]]
+    return Epoch(int(raw.week[0]), float(raw.tow[0]), satellites)
+
+
+def in_order(epochs: Sequence[Epoch]) -> tuple[list[Epoch], int]:
+    """Those that go on in time, and how many do not: an earlier stamp than before is broken."""
+    ordered: list[Epoch] = []
+    for e in epochs:
+        if not ordered or (e.week, e.tow) > (ordered[-1].week, ordered[-1].tow):
+            ordered.append(e)
+    return ordered, len(epochs) - len(ordered)
+
+
 def raw_samples(source: str, epochs: Sequence[Epoch]) -> RawGnssSamples:
     """Epochs as columns; ``t_ns`` and ``t_rx_ns`` are nanoseconds of GPS time."""
     sat = np.zeros((len(epochs), SATELLITES), np.int64)

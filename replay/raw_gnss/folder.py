@@ -1,8 +1,8 @@
 """``raw_gnss/`` of a sensor folder: one receiver's raw measurements and navigation messages.
 
-RINEX observation and navigation files, u-blox ``.ubx``, GnssLogger ``.txt``. All that the files
-broadcast is known from the start, as to whoever works on a recording afterwards; live, and in the
-log of a live run, messages come when they come.
+RINEX observation and navigation files, u-blox ``.ubx``, RTCM 3 ``.rtcm3``, GnssLogger ``.txt``. All
+that the files broadcast is known from the start, as to whoever works on a recording afterwards;
+live, and in the log of a live run, messages come when they come.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, leap_seconds
+from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, leap_seconds, week_and_tow
 from companion.types import (
     NS,
     BroadcastSamples,
@@ -21,9 +21,11 @@ from companion.types import (
     RawGnssSamples,
     Samples,
 )
+from drivers.receiver_session import RTCM_SINCE_S
 from replay.raw_gnss.android import read_gnss_logger
 from replay.raw_gnss.rinex_navigation import read_navigation
 from replay.raw_gnss.rinex_observations import read_observations, text_lines, version_and_type
+from replay.raw_gnss.rtcm import SUFFIXES, read_rtcm
 from replay.raw_gnss.ubx import read_ubx
 
 Clock = Literal["utc", "gps"]
@@ -39,9 +41,10 @@ class RawFolder:
     notes: tuple[str, ...]
 
 
-def read_raw_folder(folder: Path, clock: Clock) -> RawFolder:
+def read_raw_folder(folder: Path, clock: Clock, near_ns: int | None = None) -> RawFolder:
     """Read every file of ``folder``; its stamps are of a POSIX clock that runs on ``clock`` time.
 
+    ``near_ns``: where on that clock the recording begins; RTCM 3 does not tell the week.
     Raises :class:`LogFormatError` where a file is none of the formats or broken, where there are
     several receivers, and where measurements or navigation messages are missing.
     """
@@ -51,6 +54,10 @@ def read_raw_folder(folder: Path, clock: Clock) -> RawFolder:
     for path in sorted(p for p in folder.iterdir() if p.is_file() and p.suffix != ".md"):
         if path.suffix.lower() == ".ubx":
             raw, broadcast, _, said = read_ubx(path)
+            raws.append(raw)
+            broadcasts.append(broadcast)
+        elif path.suffix.lower() in SUFFIXES:
+            raw, broadcast, said = read_rtcm(path, _gps_time(near_ns))
             raws.append(raw)
             broadcasts.append(broadcast)
         elif path.suffix.lower() == ".txt":
@@ -70,6 +77,13 @@ def read_raw_folder(folder: Path, clock: Clock) -> RawFolder:
         raise LogFormatError(f"{folder}: no ephemerides; a navigation file is missing")
     raw = on_clock(raws[0], clock)
     return RawFolder(raw, _from_the_start(broadcasts, int(raw.t_rx_ns[0])), tuple(notes))
+
+
+def _gps_time(near_ns: int | None) -> tuple[int, float] | None:
+    """Week and second of a stamp; None for one that tells nothing, as of a clock from zero."""
+    # Leap seconds do not matter to within half a week.
+    gps_ns = 0 if near_ns is None else near_ns - GPS_EPOCH_POSIX_S * NS
+    return week_and_tow(gps_ns) if gps_ns > RTCM_SINCE_S * NS else None
 
 
 def on_clock(samples: S, clock: Clock) -> S:

@@ -14,7 +14,7 @@ from pathlib import Path
 from companion.gnss.gps_time import gps_from_calendar
 from companion.gnss.systems import CARRIER_HZ, LETTERS, C, satellite_number
 from companion.types import LogFormatError, RawGnssSamples
-from replay.raw_gnss.epochs import Epoch, Observation, possible, raw_samples
+from replay.raw_gnss.epochs import Epoch, Observation, in_order, possible, raw_samples
 
 SIGNALS = {"G": ("1C",), "E": ("1C", "1X", "1B"), "C": ("2I", "1I")}
 """Band and attribute of the signals that fit the group delays, best first; 1I is B1 in 3.02."""
@@ -213,12 +213,7 @@ def read_observations(path: Path) -> tuple[RawGnssSamples, list[str]]:
     epochs = [e for e in read(head, lines[start:], bad) if e.satellites]
     if not epochs:
         raise LogFormatError(f"{path}: not one epoch with a pseudorange in it")
-    # Time only goes on: what is stamped earlier than the epoch before is broken.
-    ordered = [epochs[0]]
-    for e in epochs[1:]:
-        if (e.week, e.tow) > (ordered[-1].week, ordered[-1].tow):
-            ordered.append(e)
-        else:
-            bad[0] += 1
+    ordered, back = in_order(epochs)
+    bad[0] += back
     notes = [f"{path.name}: {bad[0]} lines or epochs that cannot be, left out"] if bad[0] else []
     return raw_samples(path.stem, ordered), notes

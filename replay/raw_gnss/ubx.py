@@ -13,7 +13,7 @@ from companion.types import (
     RawGnssSamples,
 )
 from drivers.ublox.decoder import UbxDecoder
-from replay.raw_gnss.epochs import Epoch, Observation, broadcast_samples, raw_samples
+from replay.raw_gnss.epochs import Epoch, broadcast_samples, in_order, one_epoch, raw_samples
 
 
 def read_ubx(path: Path) -> tuple[RawGnssSamples, BroadcastSamples, GnssSamples | None, list[str]]:
@@ -26,10 +26,9 @@ def read_ubx(path: Path) -> tuple[RawGnssSamples, BroadcastSamples, GnssSamples 
     except OSError as error:
         raise LogFormatError(f"{path}: cannot be read: {error.strerror}") from None
     decoder = UbxDecoder(path.stem)
-    epochs: list[Epoch] = []
+    raws: list[Epoch] = []
     messages, times = [], []
     fixes: list[GnssSamples] = []
-    back = 0
     for sample in decoder.feed(data):
         if isinstance(sample, GnssSamples):
             fixes.append(sample)
@@ -37,11 +36,8 @@ def read_ubx(path: Path) -> tuple[RawGnssSamples, BroadcastSamples, GnssSamples 
             messages.append((int(sample.sat[0]), sample.values[0]))
             times.append(int(sample.t_ns[0]))
         else:
-            epoch = _epoch(sample)
-            if epochs and (epoch.week, epoch.tow) <= (epochs[-1].week, epochs[-1].tow):
-                back += 1
-            else:
-                epochs.append(epoch)
+            raws.append(one_epoch(sample))
+    epochs, back = in_order(raws)
     if not epochs:
         raise LogFormatError(f"{path}: no raw measurements (RXM-RAWX) in {len(data)} bytes")
     notes = []
@@ -54,14 +50,6 @@ def read_ubx(path: Path) -> tuple[RawGnssSamples, BroadcastSamples, GnssSamples 
         _all(fixes),
         notes,
     )
-
-
-def _epoch(raw: RawGnssSamples) -> Epoch:
-    columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate)
-    rows = zip(raw.sat[0].tolist(), *(c[0].tolist() for c in columns), raw.signal[0].tolist(),
-               strict=True)  # fmt: skip
-    satellites = [Observation(*row) for row in rows if row[0]]
-    return Epoch(int(raw.week[0]), float(raw.tow[0]), satellites)
 
 
 def _all(fixes: list[GnssSamples]) -> GnssSamples | None:

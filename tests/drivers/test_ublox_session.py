@@ -9,7 +9,7 @@ import pytest
 
 from companion.gnss.orbit import E_SAT
 from companion.types import NS, BroadcastSamples, GnssSamples, RawGnssSamples
-from drivers.ublox.session import UbloxSession
+from drivers.receiver_session import receiver_session
 from replay.simulator.constellation import ephemerides
 from replay.simulator.live import ubx
 
@@ -26,7 +26,7 @@ def _epoch(k: int) -> bytes:
 
 
 def test_epochs_are_evenly_spaced_on_the_runs_clock_however_they_arrive() -> None:
-    session, rng = UbloxSession(), np.random.default_rng(1)
+    session, rng = receiver_session("ublox"), np.random.default_rng(1)
     times = []
     for k in range(200):
         rx = RUN_NS + round(0.2 * k * NS) + 60_000_000 + int(rng.exponential(2e6))
@@ -44,7 +44,7 @@ def test_epochs_are_evenly_spaced_on_the_runs_clock_however_they_arrive() -> Non
 
 def test_bytes_may_be_cut_anywhere_and_noise_is_counted() -> None:
     whole = b"$GNGGA,1*00\r\n" + _epoch(0) + b"\xb5\x62\x02\x15\xff\xff" + _epoch(1)
-    session = UbloxSession()
+    session = receiver_session("ublox")
     found = [s for k, byte in enumerate(whole) for s in session.feed(k, RUN_NS, bytes([byte]))]
     assert len(found) == 2
     assert session.counters["epochs"] == 2
@@ -54,7 +54,7 @@ def test_bytes_may_be_cut_anywhere_and_noise_is_counted() -> None:
 
 def test_subframes_make_the_ephemeris_that_was_sent() -> None:
     row = ephemerides((0,), WEEK, 0.0, 10.0)[3]
-    session = UbloxSession()
+    session = receiver_session("ublox")
     session.feed(0, RUN_NS, ubx.rawx(WEEK, 30.0, np.array([104]), np.array([2.2e7]), np.zeros(1)))
     found = [s for f in ubx.lnav(row) for s in session.feed(1, RUN_NS, f)]
     assert len(found) == 1
@@ -67,7 +67,7 @@ def test_subframes_make_the_ephemeris_that_was_sent() -> None:
 
 @pytest.mark.parametrize("raw_first", [True, False])
 def test_the_receivers_own_fix_needs_no_raw_measurements(raw_first: bool) -> None:
-    session = UbloxSession()
+    session = receiver_session("ublox")
     if raw_first:
         session.feed(
             0, RUN_NS, ubx.rawx(WEEK, 99.8, np.array([104]), np.array([2.2e7]), np.ones(1))

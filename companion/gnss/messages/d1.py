@@ -19,8 +19,8 @@ from companion.gnss.systems import BDS_WEEK_0, BDT_BEHIND_GPST_S
 from companion.types import F64
 
 WORDS = 10
-_ACCURACY_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0,
-               3072.0, 6144.0, 9999.0)  # fmt: skip
+ACCURACY_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0,
+              3072.0, 6144.0, 9999.0)  # fmt: skip
 _SUBFRAME_S = 6
 
 
@@ -53,7 +53,7 @@ class D1:
         one, two, three = self._parts[1], self._parts[2], self._parts[3]
         row, pi = blank(self.sat), SEMICIRCLE
         row[ob.E_HEALTH] = one.u(42, 1)
-        row[ob.E_ACCURACY] = _ACCURACY_M[one.u(48, 4)]
+        row[ob.E_ACCURACY] = ACCURACY_M[one.u(48, 4)]
         toc = one.u(73, 9, 90, 8) * 8.0
         row[ob.E_GROUP_DELAY] = one.s(98, 10) * 1e-10
         row[ob.E_AF2] = one.s(214, 11) * 2.0**-66

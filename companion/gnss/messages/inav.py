@@ -7,23 +7,12 @@ from __future__ import annotations
 
 from companion.gnss import orbit as ob
 from companion.gnss.messages.bits import SEMICIRCLE, Bits, blank, nearest_week, same_week
+from companion.gnss.messages.crc import crc24q
 from companion.types import F64
 
 WORDS = 8
-_WEEK_0 = 1024
+WEEK_0 = 1024
 """GPS week in which Galileo's week 0 began."""
-
-
-def crc24q(data: bytes) -> int:
-    """CRC-24Q (polynomial 0x1864CFB), as Galileo, SBAS and RTCM 3 use it."""
-    crc = 0
-    for byte in data:
-        crc ^= byte << 16
-        for _ in range(8):
-            crc <<= 1
-            if crc & 0x1000000:
-                crc ^= 0x1864CFB
-    return crc
 
 
 def page_word(words: list[int]) -> Bits | None:
@@ -60,7 +49,7 @@ class Inav:
         self._words[kind] = word
         if len(self._words) < 5 or len({self._words[k].u(6, 10) for k in (1, 2, 3, 4)}) > 1:
             return None
-        if not same_week(self._words[5].u(73, 12) + _WEEK_0, 4096, week):
+        if not same_week(self._words[5].u(73, 12) + WEEK_0, 4096, week):
             return None
         return self.sat, self._row(week, tow)
 
@@ -83,7 +72,7 @@ class Inav:
         row[ob.E_CRC] = three.s(88, 16) * 2.0**-5
         row[ob.E_CRS] = three.s(104, 16) * 2.0**-5
         accuracy = three.u(120, 8)
-        row[ob.E_ACCURACY] = _accuracy_m(accuracy)
+        row[ob.E_ACCURACY] = accuracy_m(accuracy)
         row[ob.E_CIC] = four.s(22, 16) * 2.0**-29
         row[ob.E_CIS] = four.s(38, 16) * 2.0**-29
         row[ob.E_TOC] = four.u(54, 14) * 60.0
@@ -99,7 +88,7 @@ class Inav:
         return row
 
 
-def _accuracy_m(index: int) -> float:
+def accuracy_m(index: int) -> float:
     """Signal-in-space accuracy [m], ICD table 89; 0 where there is no prediction."""
     if index < 50:
         return 0.01 * index

@@ -13,8 +13,8 @@ from companion.types import F64
 
 WORDS = 10
 _IONOSPHERE_PAGE = 56
-_ACCURACY_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0,
-               3072.0, 6144.0)  # fmt: skip
+ACCURACY_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0,
+              3072.0, 6144.0)  # fmt: skip
 
 
 class Lnav:
@@ -50,7 +50,7 @@ class Lnav:
     def _row(self, one: Bits, two: Bits, three: Bits, week: int, tow: float) -> F64:
         row, pi = blank(self.sat), SEMICIRCLE
         accuracy = one.u(60, 4)
-        row[ob.E_ACCURACY] = _ACCURACY_M[accuracy] if accuracy < 15 else 9999.0
+        row[ob.E_ACCURACY] = ACCURACY_M[accuracy] if accuracy < 15 else 9999.0
         row[ob.E_HEALTH] = one.u(64, 6) or (accuracy == 15)
         row[ob.E_GROUP_DELAY] = one.s(160, 8) * 2.0**-31
         row[ob.E_TOC] = one.u(176, 16) * 16.0

@@ -34,7 +34,10 @@ def _options(argv: list[str]) -> Options:
     parser.add_argument("--rest", type=float, default=8.0, help="seconds on the ground first")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--receiver", default="", metavar="tcp|PATH", help="a u-blox receiver with raw GPS, too"
+        "--receiver", default="", metavar="tcp|PATH", help="a receiver with raw GPS, too"
+    )
+    parser.add_argument(
+        "--receiver-protocol", default="ublox", choices=("ublox", "rtcm3"), help="%(default)s"
     )
     parser.add_argument("--truth", type=Path, metavar="CSV", help="write the true flight here")
     given = parser.parse_args(argv)
@@ -46,6 +49,7 @@ def _options(argv: list[str]) -> Options:
         protocol=given.protocol,
         encoder_options={"node_id": given.node},
         receiver=given.receiver,
+        receiver_protocol=given.receiver_protocol,
         truth=given.truth,
     )
 

@@ -20,7 +20,7 @@ from replay.simulator.live.autopilot import BootClock, SimulatedAutopilot
 from replay.simulator.live.can_unit import Encoder, SimulatedCanImu
 from replay.simulator.live.faults import parse_order
 from replay.simulator.live.links import Plug, UdpLink
-from replay.simulator.live.receiver import SimulatedReceiver, TcpServer
+from replay.simulator.live.receiver import Protocol, SimulatedReceiver, TcpServer
 from replay.simulator.live.vehicle import CAN_SOURCE, LiveVehicle, moved
 from replay.simulator.raw_gnss import with_raw_gnss
 from replay.simulator.scenarios import Scenario
@@ -48,6 +48,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     """Of the autopilot's crystal."""
     receiver: str = ""
     """Of raw GNSS: ``tcp``, or the path at which a serial device appears; empty: none."""
+    receiver_protocol: Protocol = "ublox"
     truth: Path | None = None
     """Where the true flight is written, on this machine's clock."""
 
@@ -107,7 +108,7 @@ def run(options: Options) -> None:
     boot = BootClock(clock.start_unix_ns - _BOOTED_BEFORE_NS, options.drift_ppm)
     link = UdpLink(options.mavlink)
     plug = None if options.can is None else Plug(options.can)
-    receiver = None if sky is None else SimulatedReceiver(sky, shift_ns)
+    receiver = None if sky is None else SimulatedReceiver(sky, shift_ns, options.receiver_protocol)
     line = _line(options.receiver)
     try:
         vehicle = LiveVehicle(

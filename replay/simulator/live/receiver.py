@@ -1,6 +1,6 @@
-"""A u-blox receiver beside the simulated vehicle: raw GPS epochs and subframes over TCP or serial.
+"""A receiver beside the simulated vehicle: raw GPS as UBX or RTCM 3, over TCP or serial.
 
-Told the time; what it has to say is bytes. Subframes of two satellites go with each epoch, so that
+Told the time; what it has to say is bytes. Messages of two satellites go with each epoch, so that
 who connects later has all of them within seconds (a real sky takes thirty).
 """
 
@@ -9,25 +9,31 @@ from __future__ import annotations
 import contextlib
 import socket
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 
 from companion.gnss.orbit import E_SAT
 from replay.simulator.constellation import Sky
-from replay.simulator.live import ubx
+from replay.simulator.live import rtcm, ubx
+
+Protocol = Literal["ublox", "rtcm3"]
 
 SUBFRAMES_OF = 2
-"""Satellites whose subframes go with an epoch."""
+"""Satellites whose navigation messages go with an epoch."""
 
 
 class SimulatedReceiver:
-    """One flight's epochs as UBX, each when it is due. Pure."""
+    """One flight's epochs as bytes, each when it is due. Pure."""
 
-    def __init__(self, sky: Sky, shift_ns: int, latency_ms: float = 80.0) -> None:
+    def __init__(
+        self, sky: Sky, shift_ns: int, protocol: Protocol = "ublox", latency_ms: float = 80.0
+    ) -> None:
         """``shift_ns``: from the recording's clock to that of the process."""
         raw = sky.raw
         self._sky = sky
         self._due = raw.t_ns + shift_ns + round(latency_ms * 1e6)
+        self._protocol = protocol
         self._at = 0
         self._turn = 0
         self.silent = False
@@ -52,15 +58,17 @@ class SimulatedReceiver:
         raw = self._sky.raw
         seen = np.flatnonzero(raw.sat[i])
         sats = raw.sat[i, seen]
-        yield ubx.rawx(
-            int(raw.week[i]), float(raw.tow[i]), sats, raw.pseudorange[i, seen], raw.rate[i, seen]
-        )
+        tow, measured = float(raw.tow[i]), (raw.pseudorange[i, seen], raw.rate[i, seen])
+        if self._protocol == "ublox":
+            yield ubx.rawx(int(raw.week[i]), tow, sats, *measured)
+        else:
+            yield from rtcm.epoch(tow, sats, *measured)
         for k in range(SUBFRAMES_OF):
             sat = int(sats[(self._turn + k) % len(sats)])
             # One issue of ephemerides serves the two hours of any flight here.
             table = self._sky.broadcast.values
             row = next(row for row in table[1:] if int(row[E_SAT]) == sat)
-            yield from ubx.lnav(row)
+            yield from ubx.lnav(row) if self._protocol == "ublox" else [rtcm.ephemeris(row)]
         self._turn += SUBFRAMES_OF
 
 
