@@ -11,7 +11,7 @@ from companion.config import DEG, Config
 from companion.estimation.adaptation.parameters import SIZE as ADAPTATION_SIZE
 from companion.estimation.adaptation.parameters import adaptation_vector, method_code
 from companion.estimation.chi_square import exceeded_with
-from companion.navigation.layout import RAMP, SYSTEM, Layout
+from companion.navigation.layout import BIAS, DRIFT, RAMP, SYSTEM, Layout
 from companion.types import F64, I64, NS
 
 (
@@ -180,8 +180,12 @@ def initial_variances(config: Config, lay: Layout) -> F64:
         v[lay.gnss : lay.gnss + 2] = config.gnss.slow_error_sd_m**2
         v[lay.gnss + 2] = config.gnss.slow_error_height_sd_m**2
     if lay.clock >= 0:
-        v[lay.clock], v[lay.clock + 1] = CLOCK_SD_M**2, CLOCK_DRIFT_SD_MPS**2
-        at = lay.clock + SYSTEM
-        v[at : at + 2] = config.raw_gnss.system_bias_sd_m**2
-        v[lay.clock + RAMP] = config.raw_gnss.clock_ramp_mps2**2
+        clock_variances(config, v[lay.clock :])
     return v
+
+
+def clock_variances(config: Config, v: F64) -> None:
+    """Fill ``v`` (≥ CLOCK_STATES,) with the variances of a receiver's clock at the start."""
+    v[BIAS], v[DRIFT] = CLOCK_SD_M**2, CLOCK_DRIFT_SD_MPS**2
+    v[SYSTEM : SYSTEM + 2] = config.raw_gnss.system_bias_sd_m**2
+    v[RAMP] = config.raw_gnss.clock_ramp_mps2**2

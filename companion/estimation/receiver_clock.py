@@ -76,17 +76,14 @@ def clock_noise(T: float, let_go: float, par: F64, ramp_decay: float, q: F64) ->
         q[i] = par[SYSTEM_BIAS_PSD] * T
 
 
-@njit("void(f8[::1], i8[::1], f8[::1], f8, f8[::1])", cache=True, counted=False)
-def step_clock(s: F64, lay: I64, par: F64, T: float, q: F64) -> None:
-    """Carry clock and covariance in ``s`` over ``T`` [s]; ``q`` (≥ CLOCK_STATES,) is scratch."""
-    b = lay[L_CLOCK]
-    if b < 0:
-        return
-    n = lay[L_N]
-    P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
+@njit("void(f8[:, ::1], i8, f8, f8, f8[::1], f8[::1])", cache=True, counted=False)
+def spread_clock(P: F64, b: int, T: float, let_go: float, par: F64, q: F64) -> None:
+    """P ← Φ P Φᵀ + Q of the clock's states, which begin at ``b``, over ``T`` [s].
+
+    ``let_go``: how often the clock was let go meanwhile; ``q`` (≥ CLOCK_STATES,) is scratch.
+    """
+    n = P.shape[0]
     decay = math.exp(-T / par[CLOCK_RAMP_TAU])
-    carry_clock(T, decay, s[CLOCK:])
-    carry_clock(T, decay, s[DX + b :])
     half = 0.5 * T * T
     for j in range(n):
         P[b, j] += T * P[b + DRIFT, j] + half * P[b + RAMP, j]
@@ -100,9 +97,23 @@ def step_clock(s: F64, lay: I64, par: F64, T: float, q: F64) -> None:
     for i in range(RAMP + 1):
         for j in range(i):
             P[b + i, b + j] = P[b + j, b + i]
-    clock_noise(T, s[SUM_XC], par, decay, q)
+    clock_noise(T, let_go, par, decay, q)
     for i in range(RAMP + 1):
         P[b + i, b + i] += q[i]
     cross = clock_cross_noise(T, par)
     P[b, b + DRIFT] += cross
     P[b + DRIFT, b] += cross
+
+
+@njit("void(f8[::1], i8[::1], f8[::1], f8, f8[::1])", cache=True, counted=False)
+def step_clock(s: F64, lay: I64, par: F64, T: float, q: F64) -> None:
+    """Carry clock and covariance in ``s`` over ``T`` [s]; ``q`` (≥ CLOCK_STATES,) is scratch."""
+    b = lay[L_CLOCK]
+    if b < 0:
+        return
+    n = lay[L_N]
+    P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
+    decay = math.exp(-T / par[CLOCK_RAMP_TAU])
+    carry_clock(T, decay, s[CLOCK:])
+    carry_clock(T, decay, s[DX + b :])
+    spread_clock(P, b, T, s[SUM_XC], par, q)

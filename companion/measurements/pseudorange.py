@@ -27,7 +27,7 @@ NO_RATE = 1
 
 
 @njit("void(f8[::1], f8[::1], f8[:, ::1], f8[::1], f8[::1])", cache=True)
-def _antenna(s: F64, lever_n: F64, axes: F64, here: F64, x: F64) -> None:
+def antenna(s: F64, lever_n: F64, axes: F64, here: F64, x: F64) -> None:
     """ECEF ``x`` (3,) and geodetic ``here`` (3,) of the antenna, and C_ne in ``axes``."""
     lat, lon, height = s[LAT], s[LON], s[HEIGHT]
     ned_axes(lat, lon, axes)
@@ -56,7 +56,7 @@ def satellite(s: F64, lay: I64, C: F64, row: F64, H: F64, y: F64) -> int:
     position(s, lay, C, s[LAT : LAT + 3], full, w)
     for i in range(3):
         w[i] = -w[i]
-    _antenna(s, w, axes, here, x)
+    antenna(s, w, axes, here, x)
     clock = lay[L_CLOCK]
     system = int(row[S_SYSTEM])
     y[0] = row[S_RANGE] - expected_range(row, x, here, u_e) - s[CLOCK]

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion._jit import njit
 from companion.estimation.adaptation import baselines as bl
-from companion.estimation.adaptation.flac import fade, flac_scale
+from companion.estimation.adaptation.flac import fade, flac_scale, small
 from companion.estimation.adaptation.fuzzy import fuzzy_scale, gather_q
 from companion.estimation.adaptation.layout import (
     FIRING,
@@ -104,6 +104,7 @@ def after_fix(s: F64, lay: I64, ipar: I64, tape: Recorder) -> None:
     if ipar[ADAPTATION] != FLAC or ipar[BANK] == 1:
         return
     n = lay[L_N]
-    square = fade(s, s[P_OFFSET : P_OFFSET + n * n].reshape((n, n)), n)
+    P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
+    square = fade(s, P, n, small(P))
     if square > 1.0:
         record_fade(tape, square)

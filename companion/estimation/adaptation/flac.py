@@ -53,16 +53,22 @@ def flac_scale(s: F64, a: F64, channel: int, m: int, u: F64, trace: F64) -> floa
     return float(1.0 / (s[ALPHA] * s[ALPHA]))
 
 
-@njit("f8(f8[::1], f8[:, ::1], i8)", cache=True)
-def fade(s: F64, P: F64, n: int) -> float:
-    """After a fix: P ← α² P, and α of the next fix; the factor on P."""
-    square = s[ALPHA] * s[ALPHA]
+@njit("b1(f8[:, ::1])", cache=True)
+def small(P: F64) -> bool:
+    """Whether P of the error-state filter is one that the error equations stand for."""
     for i in range(ATT, GYRO_BIAS + 3):
         largest = LARGEST_ATT if i < ACCEL_BIAS else LARGEST_ACCEL
         if i >= GYRO_BIAS:
             largest = LARGEST_GYRO
         if P[i, i] > largest:
-            square = 1.0
+            return False
+    return True
+
+
+@njit("f8(f8[::1], f8[:, ::1], i8, b1)", cache=True)
+def fade(s: F64, P: F64, n: int, allowed: bool) -> float:
+    """After a fix: P ← α² P where that is ``allowed``, and α of the next fix; the factor on P."""
+    square = s[ALPHA] * s[ALPHA] if allowed else 1.0
     if square > 1.0:
         for i in range(n):
             for j in range(n):

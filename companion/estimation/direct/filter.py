@@ -12,10 +12,10 @@ import numpy as np
 
 from companion.config import DEG, Config
 from companion.estimation import bank, recovery
+from companion.estimation import parameters as common
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.direct import layout as lo
-from companion.estimation.direct import parameters as par
 from companion.estimation.direct import transitions
 from companion.estimation.direct.start import Setup, align
 from companion.estimation.direct.walk import walk
@@ -127,7 +127,7 @@ class DirectFilter:
         many = phase.mode is Mode.HEADING_UNKNOWN
         ip = setup.ipar_bank if many else setup.ipar
         span = int(imu.t[stop - 1]) - self.now[1] if stop > i else 0
-        n_rows = max(span, 0) // int(ip[par.OUTPUT_NS]) + 2 + (stop - i)
+        n_rows = max(span, 0) // int(ip[common.OUTPUT_NS]) + 2 + (stop - i)
         n_reports = 5 * (aids.end - j) + 3 * (stop - i)
         best = phase.checks[-1].best
         switches = np.zeros((stop - i, 2), np.int64)
@@ -181,7 +181,7 @@ class DirectFilter:
             return
         f = phase.filters[0]
         P = self.setup.covariance(f.s)
-        if P[0, 0] + P[1, 1] > self.setup.par[par.DIVERGED_VAR]:
+        if P[0, 0] + P[1, 1] > self.setup.par[common.DIVERGED_VAR]:
             self._reset(t + 1, "diverged", "position uncertainty beyond use: beginning anew")
         elif len(recovery.agreeing_fixes(aids, t)):
             seconds = self.setup.config.engine.gate_relock_s

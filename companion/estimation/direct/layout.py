@@ -1,6 +1,9 @@
 """Where everything lies in the direct filter's state: one float64 vector beside one int64 vector.
 
-As :mod:`companion.navigation.layout` for the error-state filter: copying both is a snapshot.
+As :mod:`companion.navigation.layout` for the error-state filter: copying both is a snapshot. What
+the adaptation keeps lies where it does there, so that one kernel adapts both filters. The place of
+the standstill detector in front of it stays empty: no inertial unit drives this model, so none is
+ever strained, and what speaks for an error of the model is the receiver's velocity alone.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.navigation import layout as common
-from companion.types import I64
+from companion.types import F64, I64
 
 # --- nominal state, offsets into s
 Q = common.Q  # q_nb (4)
@@ -25,7 +28,8 @@ ATTITUDE_BIAS = 20  # (3) slow error of another estimator's attitude, body axes
 LOG_LIKELIHOOD, BANK_NIS, BANK_DOF = 23, 24, 25
 # --- transitions (Yu eqs 40-44): specific force of the first IMU before this one
 LAST_FORCE_X, LAST_FORCE_Y = 26, 27
-UNITS = 28  # per IMU: gyro bias, accelerometer bias, gyro scale, accelerometer scale (3 each)
+CLOCK = 28  # (5) receiver clock, as common.CLOCK
+UNITS = common.P  # per IMU: gyro bias, accelerometer bias, gyro scale, accelerometer scale (3 each)
 UNIT_SIZE = 12
 # behind all units' twelve, per IMU: variance of its force beyond model and density (3), and the
 # innovation of the force refused last (3)
@@ -45,8 +49,10 @@ T_NOW, T_IMU = common.T_NOW, common.T_IMU
     SNAP_COUNT,  # snapshots so far: where in the ring the next one goes
     CIRCULAR,  # 1 while the circular-motion mechanism holds the lateral acceleration
     HAVE_FORCE,  # 1 once LAST_FORCE is valid
+    EPOCH_SEEN,  # ranges of the running epoch
+    EPOCH_TAKEN,  # those that were accepted
     UNIT_TIMES,  # per IMU: last sample, last fused sample, refused samples in a row
-) = range(2, 14)
+) = range(2, 16)
 UNIT_INTS = 3
 
 # --- error state
@@ -55,7 +61,7 @@ KINEMATIC = 15
 GYRO_BIAS, ACCEL_BIAS, GYRO_SCALE, ACCEL_SCALE = 0, 3, 6, 9  # inside a unit's twelve
 
 # --- entries of the layout vector handed to kernels
-L_N, L_UNITS, L_BARO, L_GNSS, L_ATTITUDE, L_P, L_INTS = range(7)
+L_N, L_UNITS, L_BARO, L_GNSS, L_ATTITUDE, L_CLOCK, L_P = range(7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +73,20 @@ class Layout:
     baro: int
     gnss: int
     attitude: int
+    clock: int
 
     @classmethod
-    def build(cls, units: int, *, baro: bool, gnss: bool, attitude: bool) -> Layout:
+    def build(
+        cls, units: int, *, baro: bool, gnss: bool, attitude: bool, clock: bool = False
+    ) -> Layout:
         """Lay out N units and the chosen slow errors behind the fifteen of the trajectory."""
         at = KINEMATIC + UNIT_SIZE * units
-        index = {"baro": -1, "gnss": -1, "attitude": -1}
+        index = {"baro": -1, "gnss": -1, "attitude": -1, "clock": -1}
         for name, wanted, size in (
             ("baro", baro, 1),
             ("gnss", gnss, 3),
             ("attitude", attitude, 3),
+            ("clock", clock, common.CLOCK_STATES),
         ):
             if wanted:
                 index[name] = at
@@ -98,6 +108,12 @@ class Layout:
         """Length of the int state vector."""
         return UNIT_TIMES + UNIT_INTS * self.units
 
+    def blank(self) -> tuple[F64, I64]:
+        """States of which nothing is known yet: all zero, nothing scaled."""
+        s, k = np.zeros(self.size), np.zeros(self.int_size, np.int64)
+        s[common.R_SCALE : common.RECEPTION] = 1.0
+        return s, k
+
     def vector(self) -> I64:
         """For kernels, by the ``L_`` names."""
         return np.array(
@@ -107,8 +123,8 @@ class Layout:
                 self.baro,
                 self.gnss,
                 self.attitude,
+                self.clock,
                 self.covariance,
-                self.int_size,
             ],
             dtype=np.int64,
         )

@@ -23,10 +23,12 @@ from companion.estimation.direct.layout import (
     ACC_N,
     ATT,
     ATTITUDE_BIAS,
+    CLOCK,
     GNSS_BIAS,
     HEIGHT,
     KINEMATIC,
     L_ATTITUDE,
+    L_CLOCK,
     L_GNSS,
     L_N,
     L_P,
@@ -43,7 +45,10 @@ from companion.estimation.direct.layout import (
     VEL_N,
 )
 from companion.estimation.direct.parameters import ACC_TAU, JERK_PSD, RATE_PSD, RATE_TAU
+from companion.estimation.parameters import CLOCK_RAMP_TAU
+from companion.estimation.receiver_clock import carry_clock, spread_clock
 from companion.navigation.earth import radii
+from companion.navigation.layout import Q_SCALE
 from companion.navigation.rotation import quat_to_matrix, rotate_body
 from companion.types import F64, I64
 
@@ -113,6 +118,8 @@ def carry(s: F64, lay: I64, par: F64, slow: F64, dt: float) -> None:
             s[GNSS_BIAS + i] *= math.exp(-dt * slow[0, lay[L_GNSS] + i])
         if lay[L_ATTITUDE] >= 0:
             s[ATTITUDE_BIAS + i] *= math.exp(-dt * slow[0, lay[L_ATTITUDE] + i])
+    if lay[L_CLOCK] >= 0:
+        carry_clock(dt, math.exp(-dt / par[CLOCK_RAMP_TAU]), s[CLOCK:])
     for i in range(UNIT_SIZE * lay[L_UNITS]):
         if slow[0, UNIT + i] > 0.0:
             s[UNITS + i] *= math.exp(-dt * slow[0, UNIT + i])
@@ -120,8 +127,12 @@ def carry(s: F64, lay: I64, par: F64, slow: F64, dt: float) -> None:
 
 @njit("void(f8[::1], f8[::1], f8, f8[:, ::1], f8[:, ::1])", cache=True)
 def _process_noise(s: F64, par: F64, dt: float, P: F64, C: F64) -> None:
-    """Add white jerk and angular acceleration over ``dt`` to the upper half of P; C is scratch."""
+    """Add white jerk and angular acceleration over ``dt`` to the upper half of P; C is scratch.
+
+    Times the adaptation's factor: what is scaled is how far the vehicle may move unforeseen.
+    """
     quat_to_matrix(s, C)
+    scale = s[Q_SCALE]
     dt2 = dt * dt
     dt3 = dt2 * dt
     for i in range(3):
@@ -129,6 +140,7 @@ def _process_noise(s: F64, par: F64, dt: float, P: F64, C: F64) -> None:
             q = 0.0
             for m in range(3):
                 q += C[i, m] * par[JERK_PSD + m] * C[j, m]
+            q *= scale
             P[POS + i, VEL + j] += q * dt2 * dt2 / 8.0
             P[POS + i, ACC + j] += q * dt3 / 6.0
             P[VEL + i, ACC + j] += q * dt2 / 2.0
@@ -136,7 +148,7 @@ def _process_noise(s: F64, par: F64, dt: float, P: F64, C: F64) -> None:
                 P[POS + i, POS + j] += q * dt2 * dt3 / 20.0
                 P[VEL + i, VEL + j] += q * dt3 / 3.0
                 P[ACC + i, ACC + j] += q * dt
-        w = par[RATE_PSD + i]
+        w = par[RATE_PSD + i] * scale
         P[ATT + i, ATT + i] += w * dt3 / 3.0
         P[ATT + i, RATE + i] += w * dt2 / 2.0
         P[RATE + i, RATE + i] += w * dt
@@ -202,3 +214,5 @@ def spread(s: F64, lay: I64, par: F64, slow: F64, dt: float, W: F64) -> None:
                 P[j, i] = P[i, j]
             P[i, i] *= f
         P[i, i] += slow[1, i] * dt
+    if lay[L_CLOCK] >= 0:
+        spread_clock(P, lay[L_CLOCK], dt, 0.0, par, W[0])

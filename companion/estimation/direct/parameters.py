@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from companion.config import DEG, Config
-from companion.estimation.chi_square import exceeded_with
+from companion.estimation import parameters as common
 from companion.estimation.direct import layout as lo
 from companion.types import F64, I64, NS
 
+# What both filters have stands where the common vectors have it; this filter's own comes behind.
 (
     JERK_PSD,  # three, body axes [(m/s³)²/Hz]
     JERK_PSD_2,
@@ -18,39 +19,18 @@ from companion.types import F64, I64, NS
     RATE_PSD_3,
     ACC_TAU,  # fading time of the acceleration [s]; 0 never
     RATE_TAU,
-    GATE,  # three thresholds, for 1, 2 and 3 degrees of freedom
-    GATE_2,
-    GATE_3,
-    LATENCY_VAR,  # of a fix's time of validity [s²]
     LEVER,  # three: first IMU to antenna, body axes [m]
     LEVER_2,
     LEVER_3,
-    NHC_VAR,
-    COURSE_VAR,
-    COURSE_SPEED,
     ATTITUDE_VAR,  # roll and pitch of another estimator [rad²]
     ATTITUDE_YAW_VAR,
-    DIVERGED_VAR,
     SWITCH_SIGMAS,  # Yu's σ₁ and σ₂ in deviations of a difference of two samples; infinite: off
     SWITCH_VAR,  # what a switch adds to the variance of the acceleration on its axis [(m/s²)²]
     CIRCLE_VAR,  # of the lateral acceleration from turn rate times speed [(m/s²)²]
     SIZE,
-) = range(25)
-
-# --- integer parameters
-(
-    BANK,  # 1: gates open, likelihood accumulated
-    OUTPUT_NS,
-    SNAPSHOT_NS,
-    CONSTRAINT_NS,  # 0: no non-holonomic constraint
-    COURSE,
-    GAP_NS,
-    COASTING_NS,
-    BASE_MODE,
-    RELOCK_NS,
-    REPORT_NS,  # inertial updates are reported once in this time; refusals always
-    INT_SIZE,
-) = range(11)
+) = range(common.SIZE, common.SIZE + 17)
+REPORT_NS = common.INT_SIZE
+"""Of the integers: inertial updates are reported once in this time; refusals always."""
 
 # --- columns of the table of units, one row an IMU
 U_LEVER, U_GYRO_PSD, U_ACCEL_PSD, U_GYRO_VAR, U_ACCEL_VAR = 0, 3, 4, 5, 6
@@ -63,26 +43,19 @@ RELOCK_S = 3.0
 """Refused that long, fixes that agree among themselves are believed: a prediction by the model,
 unlike an inertial one, is worth little by then."""
 REPORT_NS_INERTIAL = NS // 20
-SNAPSHOT = NS // 10
 
 
 def parameter_vector(config: Config) -> F64:
-    """The float parameters of ``config``, by the names of this module."""
+    """The float parameters of ``config``: the common ones, then those named in this module."""
     p = np.zeros(SIZE)
-    d, aid = config.direct, config.constraints
+    p[: common.SIZE] = common.parameter_vector(config)
+    d = config.direct
     p[JERK_PSD : JERK_PSD + 3] = np.square(d.jerk_mps3_rthz)
     p[RATE_PSD : RATE_PSD + 3] = np.square(np.multiply(d.angular_acceleration_dps2_rthz, DEG))
     p[ACC_TAU], p[RATE_TAU] = d.acceleration_tau_s, d.rate_tau_s
-    for dof in (1, 2, 3):
-        p[GATE + dof - 1] = exceeded_with(1.0 - config.engine.gate_probability, dof)
-    p[LATENCY_VAR] = (config.gnss.latency_sd_ms * 1e-3) ** 2
     p[LEVER : LEVER + 3] = config.gnss.lever_arm_b_m
-    p[NHC_VAR] = aid.non_holonomic_sd_mps**2
-    p[COURSE_VAR] = (aid.course_sd_deg * DEG) ** 2
-    p[COURSE_SPEED] = aid.course_min_speed_mps
     p[ATTITUDE_VAR] = (d.attitude_sd_deg * DEG) ** 2
     p[ATTITUDE_YAW_VAR] = (d.attitude_yaw_sd_deg * DEG) ** 2
-    p[DIVERGED_VAR] = config.engine.diverged_position_sd_m**2
     p[SWITCH_SIGMAS] = d.transition_sigmas if d.transitions else np.inf
     p[SWITCH_VAR] = d.transition_sd_mps2**2
     p[CIRCLE_VAR] = d.circular_sd_mps2**2
@@ -90,17 +63,10 @@ def parameter_vector(config: Config) -> F64:
 
 
 def integer_vector(config: Config) -> I64:
-    """The integer parameters of ``config``: periods in ns and switches."""
-    k = np.zeros(INT_SIZE, dtype=np.int64)
-    engine, aid = config.engine, config.constraints
-    k[OUTPUT_NS] = round(NS / engine.output_rate_hz)
-    k[SNAPSHOT_NS] = SNAPSHOT
-    k[CONSTRAINT_NS] = round(NS / aid.non_holonomic_rate_hz) if aid.non_holonomic else 0
-    k[COURSE] = aid.course
-    k[GAP_NS] = round(config.direct.max_gap_s * NS)
-    k[COASTING_NS] = round(engine.coasting_after_s * NS)
-    k[RELOCK_NS] = round(min(engine.gate_relock_s, RELOCK_S) * NS)
-    k[REPORT_NS] = REPORT_NS_INERTIAL
+    """The integer parameters of ``config``, the common ones first; some are this filter's own."""
+    k = np.append(common.integer_vector(config), REPORT_NS_INERTIAL)
+    k[common.GAP_NS] = round(config.direct.max_gap_s * NS)
+    k[common.RELOCK_NS] = round(min(config.engine.gate_relock_s, RELOCK_S) * NS)
     return k
 
 
@@ -125,6 +91,7 @@ def layout(config: Config) -> lo.Layout:
         baro=config.baro.use,
         gnss=config.gnss.slow_error_sd_m > 0 or config.gnss.slow_error_height_sd_m > 0,
         attitude=d.attitude and (d.attitude_slow_sd_deg > 0 or d.attitude_slow_yaw_sd_deg > 0),
+        clock=config.raw_gnss.coupling == "tight",
     )
 
 
@@ -152,6 +119,8 @@ def initial_variances(config: Config, lay: lo.Layout) -> F64:
     if lay.attitude >= 0:
         v[lay.attitude : lay.attitude + 2] = (d.attitude_slow_sd_deg * DEG) ** 2
         v[lay.attitude + 2] = (d.attitude_slow_yaw_sd_deg * DEG) ** 2
+    if lay.clock >= 0:
+        common.clock_variances(config, v[lay.clock :])
     return v
 
 
@@ -174,6 +143,7 @@ def slow_errors(config: Config, lay: lo.Layout) -> F64:
             table[1, three] = walk**2
     if lay.baro >= 0:
         table[1, lay.baro] = config.baro.bias_walk_m_rts**2
+    # The receiver's clock has a step of its own.
     for first, tau in ((lay.gnss, config.gnss.slow_error_tau_s), (lay.attitude, d.attitude_tau_s)):
         if first >= 0:
             three = slice(first, first + 3)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.config import DEG, Config
+from companion.estimation import parameters as common
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.direct import layout as lo
@@ -15,6 +16,7 @@ from companion.estimation.direct import parameters as par
 from companion.estimation.phases import Check, Filter, Phase
 from companion.estimation.start import MAG_AGE_NS
 from companion.navigation.alignment import MOVING_TILT_SD, heading_from_field
+from companion.navigation.layout import CLOCK_STATES
 from companion.navigation.rotation import matrix_from_quat, quat_from_rpy
 from companion.types import F64, I64, NS, Event, Mode
 
@@ -36,11 +38,11 @@ class Setup:
         self.slow = par.slow_errors(config, self.layout)
         self.ipar = par.integer_vector(config)
         self.ipar_bank = self.ipar.copy()
-        self.ipar[par.BASE_MODE] = Mode.NAVIGATING
-        self.ipar_bank[par.BANK] = 1
-        self.ipar_bank[par.BASE_MODE] = Mode.HEADING_UNKNOWN
+        self.ipar[common.BASE_MODE] = Mode.NAVIGATING
+        self.ipar_bank[common.BANK] = 1
+        self.ipar_bank[common.BASE_MODE] = Mode.HEADING_UNKNOWN
         ring_ns = round(config.engine.delay_ring_s * NS)
-        self.slots = ring_ns // int(self.ipar[par.SNAPSHOT_NS]) + 3
+        self.slots = ring_ns // int(self.ipar[common.SNAPSHOT_NS]) + 3
 
     def covariance(self, s: F64) -> F64:
         """P (n, n) inside a float state, as a view."""
@@ -75,7 +77,7 @@ def align(
 ) -> tuple[Phase, Event] | None:
     """Start at the first fix from ``j`` on that can be; None, and the phase moved on, otherwise."""
     last = int(imu.t[imu.end - 1])
-    longest = int(setup.ipar[par.GAP_NS])
+    longest = int(setup.ipar[common.GAP_NS])
     while j < aids.end and aids.t[j] <= last:
         t = int(aids.t[j])
         if aids.key[j, 0] == w.KIND_GNSS and np.all(np.isfinite(aids.rows[j, :3])):
@@ -176,7 +178,7 @@ def _initial(
     """A filter at the time of fix ``j``, levelled and headed as told."""
     cfg, lay = setup.config, setup.layout
     t, fix = int(aids.t[j]), aids.rows[j]
-    s, k = np.zeros(lay.size), np.zeros(lay.int_size, np.int64)
+    s, k = lay.blank()
     s[:4] = quat_from_rpy(attitude.roll, attitude.pitch, yaw)
     s[lo.LAT : lo.LAT + 3] = fix[:3]
     s[lo.VEL_N : lo.VEL_N + 3] = np.where(np.isfinite(fix[3:6]), fix[3:6], 0.0)
@@ -190,6 +192,8 @@ def _initial(
         # Biases, offsets and vibration outlive a reset; what it may hide doubles their deviation.
         units = slice(lo.UNITS, lay.covariance)
         s[units], s[lo.BARO_BIAS] = old.s[units], old.s[lo.BARO_BIAS]
+        clock = slice(lo.CLOCK, lo.CLOCK + CLOCK_STATES)
+        s[clock] = old.s[clock]
         kept = slice(lo.UNIT, lo.UNIT + lo.UNIT_SIZE * lay.units)
         var[kept] = np.minimum(var[kept], 4.0 * np.diag(setup.covariance(old.s))[kept])
     P = setup.covariance(s)
@@ -215,6 +219,6 @@ def _initial(
     k[lo.T_NOW], k[lo.T_IMU] = t, int(imu.t[b - 1])
     k[lo.T_POSITION_AID] = k[lo.T_VELOCITY_AID] = t
     k[lo.RESETS] = phase.resets
-    k[lo.T_OUTPUT] = t // int(setup.ipar[par.OUTPUT_NS])
-    k[lo.SNAP_CELL] = t // int(setup.ipar[par.SNAPSHOT_NS])
+    k[lo.T_OUTPUT] = t // int(setup.ipar[common.OUTPUT_NS])
+    k[lo.SNAP_CELL] = t // int(setup.ipar[common.SNAPSHOT_NS])
     return setup.new_filter(s, k)

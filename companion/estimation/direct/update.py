@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from companion._jit import njit
-from companion.estimation.adaptation.layout import TRACED
+from companion.estimation.adaptation.adapt import adapt, adapts
+from companion.estimation.adaptation.layout import TRACE_SIZE, TRACED
 from companion.estimation.direct.layout import (
     ACC,
     ACC_N,
@@ -21,10 +22,12 @@ from companion.estimation.direct.layout import (
     BANK_DOF,
     BANK_NIS,
     BARO_BIAS,
+    CLOCK,
     GNSS_BIAS,
     HEIGHT,
     L_ATTITUDE,
     L_BARO,
+    L_CLOCK,
     L_GNSS,
     L_N,
     L_P,
@@ -41,7 +44,7 @@ from companion.estimation.direct.layout import (
     VEL,
     VEL_N,
 )
-from companion.estimation.direct.parameters import BANK, GATE
+from companion.estimation.parameters import BANK, GATE
 from companion.estimation.update import (
     ACCEPTED,
     R_CHANNEL,
@@ -60,6 +63,7 @@ from companion.estimation.update import (
     normalised_square,
 )
 from companion.navigation.earth import radii
+from companion.navigation.layout import CLOCK_STATES
 from companion.navigation.rotation import rotate_body
 from companion.types import F64, I64
 
@@ -93,6 +97,9 @@ def box_plus(s: F64, lay: I64, dx: F64) -> None:
         s[UNITS + i] += dx[UNIT + i]
     if lay[L_BARO] >= 0:
         s[BARO_BIAS] += dx[lay[L_BARO]]
+    if lay[L_CLOCK] >= 0:
+        for i in range(CLOCK_STATES):
+            s[CLOCK + i] += dx[lay[L_CLOCK] + i]
 
 
 @njit(
@@ -155,12 +162,13 @@ def fuse(
     """Gate ``m`` components and apply them; fills ``report``, returns whether accepted.
 
     ``H`` (3, WIDTH) holds the columns ``cols[:nc]`` of the Jacobian, ``y`` (3,) the innovation,
-    ``R`` (3,) the variances; ``W`` (≥ 9, n) is scratch.
+    ``R`` (3,) the variances, which the adaptation scales in place; ``W`` (≥ 9, n) is scratch.
     """
     n = lay[L_N]
     P = s[lay[L_P] : lay[L_P] + n * n].reshape((n, n))
     S = np.zeros((3, 3))
     L = np.zeros((4, 3))
+    foreseen = np.empty(3)
     for i in range(m):
         for j in range(i + 1):
             x = 0.0
@@ -172,15 +180,25 @@ def fuse(
                 x += H[i, a] * part
             S[i, j] = x
             S[j, i] = x
+        foreseen[i] = S[i, i]
         S[i, i] += R[i]
     nis = normalised_square(S, y, m, L)
     gate = par[GATE + m - 1]
+    scale = 1.0
+    report[R_TRACE + TRACED] = 0.0
+    if nis >= 0.0 and adapts(ipar, channel):
+        trace = report[R_TRACE : R_TRACE + TRACE_SIZE]
+        scale = adapt(s, par, ipar, channel, m, y, L[3], foreseen, R, nis, gate, trace)
+        if scale != 1.0:
+            for i in range(m):
+                R[i] *= scale
+                S[i, i] = foreseen[i] + R[i]
+            nis = normalised_square(S, y, m, L)
     report[R_CHANNEL], report[R_SOURCE], report[R_DOF] = channel, source, m
     for i in range(3):
         report[R_INNOVATION + i] = y[i] if i < m else np.nan
         report[R_SD + i] = math.sqrt(S[i, i]) if i < m else np.nan
-    report[R_NIS], report[R_GATE], report[R_SCALE_USED] = nis, gate, 1.0
-    report[R_TRACE + TRACED] = 0.0
+    report[R_NIS], report[R_GATE], report[R_SCALE_USED] = nis, gate, scale
     if not nis >= 0.0:
         report[R_VERDICT] = REFUSED_INVALID
         return False

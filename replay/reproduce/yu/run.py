@@ -18,6 +18,7 @@ from companion.config import (
     Gnss,
     Imu,
 )
+from companion.estimation import parameters as common
 from companion.estimation.direct import layout as lo
 from companion.estimation.direct import parameters as par
 from companion.estimation.direct.start import Setup
@@ -128,7 +129,7 @@ def fly(track: tr.Track, sensors: tr.Sensors, start: F64, jerk: float, transitio
 def _begin(setup: Setup, first_fix: F64, start: F64) -> tuple[F64, I64]:
     """State and clock at rest on the first fix, off by what the deviations allow."""
     lay = setup.layout
-    s, k = np.zeros(lay.size), np.zeros(lay.int_size, np.int64)
+    s, k = lay.blank()
     s[:4] = quat_from_rpy(0.0, 0.0, 0.0)
     s[lo.LAT : lo.LAT + 3] = tr.PLACE
     s[lo.ACC_N] = tr.STEPS[0][1]
@@ -145,7 +146,7 @@ def _begin(setup: Setup, first_fix: F64, start: F64) -> tuple[F64, I64]:
     box_plus(s, setup.lay, off)
     k[lo.T_NOW] = k[lo.T_IMU] = NS
     k[lo.T_POSITION_AID] = NS
-    k[lo.T_OUTPUT] = NS // int(setup.ipar[par.OUTPUT_NS])
+    k[lo.T_OUTPUT] = NS // int(setup.ipar[common.OUTPUT_NS])
     return s, k
 
 

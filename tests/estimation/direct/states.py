@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.config import Config, Direct, EngineConfig, FurtherImu, Gnss
+from companion.config import Config, Direct, EngineConfig, FurtherImu, Gnss, RawGnss
 from companion.estimation.direct import layout as lo
 from companion.estimation.direct import parameters as par
 from companion.estimation.direct.update import box_plus
 from companion.navigation.earth import ned_difference
+from companion.navigation.layout import CLOCK_STATES
 from companion.navigation.rotation import matrix_from_quat, quat_from_rpy
 from companion.types import F64
 
 CONFIG = Config(
     engine=EngineConfig(estimator="direct"),
+    raw_gnss=RawGnss(coupling="tight"),
     gnss=Gnss(slow_error_sd_m=1.0, slow_error_height_sd_m=2.0, lever_arm_b_m=(0.4, -0.2, -0.7)),
     further_imu=(
         FurtherImu(source="imu2", lever_arm_b_m=(0.0, -0.5, 0.1)),
@@ -29,7 +31,7 @@ STEP[:3] = 1.0
 
 def random_state(rng: np.random.Generator) -> F64:
     """A plausible state in flight, three units, with a random correlated covariance."""
-    s = np.zeros(LAYOUT.size)
+    s, _ = LAYOUT.blank()
     s[:4] = quat_from_rpy(*rng.uniform([-0.6, -0.6, -3.1], [0.6, 0.6, 3.1]))
     s[lo.LAT], s[lo.LON], s[lo.HEIGHT] = rng.uniform([-1.2, -3.1, -50], [1.2, 3.1, 3000])
     for at, size in (
@@ -37,6 +39,7 @@ def random_state(rng: np.random.Generator) -> F64:
     ):  # fmt: skip
         s[at : at + 3] = rng.normal(0, size, 3)
     s[lo.BARO_BIAS] = rng.normal(0, 20)
+    s[lo.CLOCK : lo.CLOCK + CLOCK_STATES] = rng.normal(0, [1e3, 50.0, 5.0, 5.0, 0.1])
     spread = np.tile(np.repeat([0.01, 0.1, 0.005, 0.005], 3), LAYOUT.units)
     s[lo.UNITS : lo.UNITS + len(spread)] = rng.normal(0, spread)
     n = LAYOUT.n
@@ -68,6 +71,8 @@ def box_minus(a: F64, b: F64) -> F64:
     out[LAYOUT.baro] = a[lo.BARO_BIAS] - b[lo.BARO_BIAS]
     for at, offset in ((LAYOUT.gnss, lo.GNSS_BIAS), (LAYOUT.attitude, lo.ATTITUDE_BIAS)):
         out[at : at + 3] = a[offset : offset + 3] - b[offset : offset + 3]
+    clock = slice(lo.CLOCK, lo.CLOCK + CLOCK_STATES)
+    out[LAYOUT.clock : LAYOUT.clock + CLOCK_STATES] = a[clock] - b[clock]
     return out
 
 

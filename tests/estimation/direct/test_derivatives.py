@@ -7,11 +7,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from companion.estimation import parameters as common
 from companion.estimation.direct import aids, inertial
 from companion.estimation.direct import layout as lo
 from companion.estimation.direct import parameters as par
 from companion.estimation.direct.motion import carry, spread
+from companion.estimation.direct.ranges import satellite
 from companion.estimation.direct.update import WIDTH
+from companion.gnss.corrected import ROW_SIZE, S_SYSTEM
+from companion.navigation.earth import ecef
 from companion.navigation.rotation import matrix_from_quat, rpy_from_quat
 from companion.types import F64, I64
 
@@ -65,6 +69,25 @@ def test_aids(seed: int) -> None:
     _check(s, 3, lambda x, C, H, k, y: aids.attitude(x, LAY, C, same, H, k, y), 1e-6)
 
 
+@pytest.mark.parametrize("system", range(3))
+def test_ranges(system: int) -> None:
+    s = random_state(np.random.default_rng(system))
+    lever = PAR[par.LEVER : par.LEVER + 3]
+    here = ecef(s[lo.LAT : lo.LAT + 1], s[lo.LON : lo.LON + 1], s[lo.HEIGHT : lo.HEIGHT + 1])[0]
+    # 20 000 km away, 30 to 60 degrees up, and crossing at 3 km/s.
+    aside = np.cross(here, [0.3, -0.5, 0.8])
+    ahead = here / np.linalg.norm(here) + aside / np.linalg.norm(aside)
+    row = np.zeros(ROW_SIZE)
+    row[:3] = here + 2e7 * ahead / np.linalg.norm(ahead)
+    row[3:6] = 3e3 * np.cross(row[:3], here) / np.linalg.norm(np.cross(row[:3], here))
+    row[S_SYSTEM] = system
+    for rate in (False, True):
+        # A metre turns the line of sight by 5e-8: 25 m of altitude in the troposphere's 2.3 m.
+        _check(
+            s, 1, lambda x, C, H, k, y, r=rate: satellite(x, LAY, C, lever, row, r, H, k, y), 1e-3
+        )
+
+
 @pytest.mark.parametrize("unit", range(3))
 def test_inertial_units(unit: int) -> None:
     s = random_state(np.random.default_rng(unit))
@@ -102,14 +125,10 @@ def test_propagation_is_f_p_f_transposed_plus_noise_that_is_definite(seed: int) 
     spread(out, LAY, PAR, slow, dt, np.zeros((9, n)))
     Q = covariance(out) - F @ covariance(s) @ F.T
     silent = s.copy()
-    spread(
-        silent,
-        LAY,
-        np.where(np.arange(par.SIZE) < par.ACC_TAU, 0.0, PAR),
-        slow * [[1], [0]],
-        dt,
-        np.zeros((9, n)),
-    )
+    without = PAR.copy()
+    without[par.JERK_PSD : par.ACC_TAU] = 0.0
+    without[common.CLOCK_PSD : common.CLOCK_RAMP_TAU] = 0.0
+    spread(silent, LAY, without, slow * [[1], [0]], dt, np.zeros((9, n)))
     # Position in metres is carried at one radius of curvature and latitude: 1e-7 of 2 m.
     assert np.abs(covariance(silent) - F @ covariance(s) @ F.T).max() < 1e-5
     assert np.linalg.eigvalsh(0.5 * (Q + Q.T)).min() > -1e-5
