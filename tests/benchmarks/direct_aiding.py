@@ -11,7 +11,6 @@ seeds.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -20,14 +19,11 @@ from companion.config import Config
 from companion.types import F64, NS, Outputs, Samples, Solution, VehicleRecording
 from replay.evaluation import errors_against
 from replay.player import play
-from replay.simulator.scenarios import load_scenario
-from replay.simulator.simulation import run
-from replay.simulator.suite import matching_config
 from tests.benchmarks.common import table
+from tests.estimation.direct.receivers import NOISY_S, noisy
 from tests.tight import flights
 
-BEGIN_S, END_S, RADIUS_M = 60.0, 80.0, 6.37e6
-NOISY_S, SPREAD_M = 30.0, (7.0, 7.0, 10.0)
+BEGIN_S, END_S = 60.0, 80.0
 METHODS = ("none", "fuzzy", "flac", "innovation", "variational", "huber", "igg3")
 
 
@@ -65,26 +61,6 @@ def _ranges(seeds: int) -> None:
                 rows))  # fmt: skip
 
 
-def noisy(seed: int) -> tuple[VehicleRecording, int, Config]:
-    """A flight whose receiver gets noisier and says nothing of it; when it began; settings."""
-    base = load_scenario("fixed-wing")
-    of = msgspec.structs.replace(
-        base, trajectory=msgspec.structs.replace(base.trajectory, duration_s=120.0)
-    )
-    flight = run(of, seed)
-    (fix,) = flight.recording.gnss
-    late = fix.t_ns > flight.t0_ns + round(NOISY_S * NS)
-    rng = np.random.default_rng(100 + seed)
-    off = late[:, None] * rng.standard_normal((len(fix), 3)) * SPREAD_M
-    worse = replace(
-        fix,
-        lat=fix.lat + off[:, 0] / RADIUS_M,
-        lon=fix.lon + off[:, 1] / (RADIUS_M * np.cos(fix.lat)),
-        height=fix.height + off[:, 2],
-    )
-    return replace(flight.recording, gnss=(worse,)), flight.t0_ns, matching_config(base)
-
-
 def _rms(recording: VehicleRecording, solution: Solution, t0: int) -> tuple[float, float]:
     """RMS horizontal error [m] before the noise and 5 s behind its beginning to the end."""
     assert recording.truth is not None
@@ -97,7 +73,7 @@ def _rms(recording: VehicleRecording, solution: Solution, t0: int) -> tuple[floa
 
 def _adaptation(seeds: int) -> None:
     rows = []
-    made = [noisy(seed) for seed in range(seeds)]
+    made = [noisy(seed, 120.0) for seed in range(seeds)]
     for method in METHODS:
         cells = [method]
         for estimator in ("direct", "error-state"):

@@ -15,10 +15,12 @@ from companion.estimation.direct.inertial_update import fuse_unit
 from companion.estimation.direct.layout import (
     ACC_N,
     ACCEL_BIAS,
+    ACCEL_SCALE,
     ATT,
     EPOCH_SEEN,
     EPOCH_TAKEN,
     GYRO_BIAS,
+    GYRO_SCALE,
     L_BARO,
     L_CLOCK,
     L_N,
@@ -60,6 +62,9 @@ from companion.gnss.corrected import S_RANGE_VAR, S_RATE, S_RATE_VAR, S_SYSTEM
 from companion.navigation.layout import BIAS, DRIFT
 from companion.navigation.rotation import quat_to_matrix
 from companion.types import F64, I64
+
+LARGEST_SCALE = 4e-4
+"""Variance of a scale factor that P is not widened beyond: (2 %)²."""
 
 # channels, as types.Channel
 _BARO, _MAG, _COURSE, _ATTITUDE = 4, 5, 6, 10
@@ -167,6 +172,9 @@ def after_fix(s: F64, lay: I64, ipar: I64) -> None:
         allowed = allowed and P[ATT + i, ATT + i] <= LARGEST_ATT
         allowed = allowed and P[UNIT + ACCEL_BIAS + i, UNIT + ACCEL_BIAS + i] <= LARGEST_ACCEL
         allowed = allowed and P[UNIT + GYRO_BIAS + i, UNIT + GYRO_BIAS + i] <= LARGEST_GYRO
+        for scale in (GYRO_SCALE, ACCEL_SCALE):
+            at = UNIT + scale + i
+            allowed = allowed and P[at, at] <= LARGEST_SCALE
     fade(s, P, n, allowed)
 
 
