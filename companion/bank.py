@@ -14,9 +14,8 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from companion.config import Bank as BankConfig
 from companion.config import Config
-from companion.config.settings import changed
+from companion.config.settings import alone, smoothable
 from companion.engine import Engine
 from companion.estimation.digest import RowDigest
 from companion.intake.counters import Counters
@@ -48,16 +47,22 @@ class Bank:
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        alone = msgspec.structs.replace(config, bank=BankConfig())
         names = config.bank.estimators
-        self.members = [(name, Engine(changed(alone, name))) for name in names]
+        smoothed = smoothable(config) if config.smoothing.enabled else None
+        self.members = [(name, Engine(_member(config, name, name == smoothed))) for name in names]
+        self._smoothed = dict(self.members)[smoothed] if smoothed else None
+        """The member that is smoothed on line, whichever is published: going from one to another
+        would break the intervals that a smoother looks back over."""
         self.selector = Selector(names)
-        self.on_line = OnLine(alone)
-        """Off: a bank is not smoothed on line."""
         self._further = {unit.source for unit in config.further_imu}
         self._cell: int | None = None
         self._published_ns = self._settled_ns = _NEVER
         self._digest = RowDigest()
+
+    @property
+    def on_line(self) -> OnLine:
+        """The smoother on line: that of the first member that can have one, or one that is off."""
+        return (self._smoothed or self.members[0][1]).on_line
 
     @property
     def selected(self) -> tuple[str, Engine]:
@@ -92,8 +97,8 @@ class Bank:
 
     @property
     def digest_smoothed(self) -> str | None:
-        """None: a bank is not smoothed on line."""
-        return None
+        """Hash over everything smoothed on line, in order; None without a smoother."""
+        return self._smoothed.digest_smoothed if self._smoothed else None
 
     def step(self, samples: AnySamples) -> Outputs:
         """Take one arrival, as :meth:`companion.engine.Engine.step`."""
@@ -142,8 +147,8 @@ class Bank:
         return self._given([engine.finish() for _, engine in self.members])
 
     def smooth(self) -> Outputs:
-        """Nothing: a bank is not smoothed on line."""
-        return NOTHING
+        """Smoothed epochs that are due by now, as the engine's."""
+        return self._smoothed.smooth() if self._smoothed else NOTHING
 
     # ------------------------------------------------------------------ decisions
 
@@ -203,6 +208,12 @@ class Bank:
         if than_ns - int(solution.t_ns[-1]) > 2 * DECIDE_NS:
             return solution
         return solution.take(np.flatnonzero(solution.t_ns > than_ns))
+
+
+def _member(config: Config, name: str, smoothed: bool) -> Config:
+    """The configuration of one member; only the one that is smoothed on line keeps tapes."""
+    smoothing = msgspec.structs.replace(config.smoothing, enabled=smoothed)
+    return msgspec.structs.replace(alone(config, name), smoothing=smoothing)
 
 
 def _wants(engine: Engine, samples: AnySamples) -> bool:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config import Config, Direct, load, parse, to_toml
+from companion.config import Bank, Config, Direct, load, parse, to_toml
+from companion.config.settings import alone
 from companion.types import Recording
 from replay.reader import has_inputs
 from replay.streams import SLOW_HZ, rate_hz
@@ -85,6 +86,7 @@ def _slow(config: Config, assumed: bool) -> tuple[Config, str]:
         estimator="direct",
         output_rate_hz=min(config.engine.output_rate_hz, _SLOW_OUTPUT_HZ),
     )
+    bank, left_out = _slow_bank(msgspec.structs.replace(config, engine=engine))
     # Its smoother is for the error-state filter.
     smoothing = msgspec.structs.replace(config.smoothing, enabled=False)
     direct, imu = config.direct, config.imu
@@ -93,9 +95,23 @@ def _slow(config: Config, assumed: bool) -> tuple[Config, str]:
         direct = _SLOW
         imu = msgspec.structs.replace(imu, gyro_noise_dps_rthz=gyro, accel_noise_mps2_rthz=accel)
     return (
-        msgspec.structs.replace(config, engine=engine, direct=direct, imu=imu, smoothing=smoothing),
-        f"; direct filter, as the IMU is slower than {SLOW_HZ:g} Hz",
+        msgspec.structs.replace(
+            config, engine=engine, direct=direct, imu=imu, smoothing=smoothing, bank=bank
+        ),
+        f"; direct filter, as the IMU is slower than {SLOW_HZ:g} Hz{left_out}",
     )
+
+
+def _slow_bank(config: Config) -> tuple[Bank, str]:
+    """The bank without estimators that such an IMU is too slow for, and a word on those.
+
+    Of fewer than two there is nothing to choose: the direct filter runs alone.
+    """
+    names = config.bank.estimators
+    fit = tuple(n for n in names if alone(config, n).engine.estimator == "direct")
+    gone = [n for n in names if n not in fit]
+    left_out = f"; left out of the bank: {', '.join(gone)}" if gone else ""
+    return Bank(estimators=fit if len(fit) > 1 else ()), left_out
 
 
 def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfig:

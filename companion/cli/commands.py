@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,7 +16,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from companion import _jit, present
-from companion.config import CanBus, load
+from companion.config import CanBus, load, to_toml
+from companion.config.settings import alone
 from companion.types import (
     CompanionError,
     Recording,
@@ -145,16 +147,38 @@ def read_recording(
 
 
 def read(
-    console: Console, logs: Sequence[Path], config_path: Path | None, vehicle_name: str | None
+    console: Console,
+    logs: Sequence[Path],
+    config_path: Path | None,
+    vehicle_name: str | None,
+    estimator: str | None = None,
 ) -> tuple[Recording, ChosenConfig]:
+    """A recording and its configuration, with its bank dissolved into one ``estimator`` if asked.
+
+    Raises :class:`CompanionError` for an estimator that is not known, with the words that are.
+    """
     from replay.configuration import choose_config
 
     # The units of a CAN recording may be known from the configuration only.
     can = load(config_path).can if config_path is not None else ()
     recording = read_recording(console, logs, vehicle_name, can)
     chosen = choose_config(recording, config_path)
+    if estimator is not None:
+        chosen = _one_estimator(chosen, estimator)
     compile_kernels(kernels.parts_of(chosen.config))
     return recording, chosen
+
+
+def _one_estimator(chosen: ChosenConfig, name: str) -> ChosenConfig:
+    """The choice with the estimator that is asked for in the place of what it would run."""
+    try:
+        config = alone(chosen.config, name)
+    except CompanionError as error:
+        raise CompanionError(f"--estimator: {error}") from None
+    if config.engine.estimator == "direct":
+        smoothing = msgspec.structs.replace(config.smoothing, enabled=False)
+        config = msgspec.structs.replace(config, smoothing=smoothing)
+    return replace(chosen, config=config, toml=to_toml(config))
 
 
 def out_path(out: Path | None, logs: Sequence[Path], ending: str = "run") -> Path:

@@ -33,9 +33,10 @@ def evaluate_run(
     config_path: Path | None,
     vehicle_name: str | None,
     solution: SolutionKind = "forward",
+    estimator: str | None = None,
 ) -> dict[str, Any]:
     """Errors of one vehicle's solution; a log without a solution is replayed first."""
-    solved = solve(console, run, config_path, vehicle_name, solution)
+    solved = solve(console, run, config_path, vehicle_name, solution, estimator)
     from replay.assessment import assess
     from replay.sensor_folder import read_reference
 
@@ -67,10 +68,11 @@ def export_run(
     vehicle_name: str | None,
     kind: ExportedSolution = "forward",
     rate_hz: float | None = None,
+    estimator: str | None = None,
 ) -> dict[str, Any]:
     """Write one vehicle's solution; a log without one is replayed first."""
     wanted: SolutionKind = "smoothed" if kind == "smoothed" else "forward"
-    solved = solve(console, run, config_path, vehicle_name, wanted)
+    solved = solve(console, run, config_path, vehicle_name, wanted, estimator)
     solution, vehicle = solved.solution, solved.vehicle
     if kind == "autopilot":
         if vehicle.autopilot is None or not len(vehicle.autopilot):
@@ -114,9 +116,10 @@ def report_run(
     output: Path | None,
     config_path: Path | None,
     vehicle_name: str | None,
+    estimator: str | None = None,
 ) -> dict[str, Any]:
     """Write one vehicle's page; a log without a solution is replayed first."""
-    solved = solve(console, run, config_path, vehicle_name, "forward")
+    solved = solve(console, run, config_path, vehicle_name, "forward", estimator)
     from replay.report.page import write_report
     from replay.report.run_view import RunView
 

@@ -16,7 +16,8 @@ from rich.markup import escape
 from companion import present
 from companion.cli.commands import LOADING, SolutionKind, out_path, plain, read
 from companion.config import Config, to_toml
-from companion.types import NS, AidingReports, Smoothed, Solution, VehicleRecording
+from companion.config.settings import alone, smoothable
+from companion.types import NS, AidingReports, CompanionError, Smoothed, Solution, VehicleRecording
 from replay.window import Window, read_windows
 
 if TYPE_CHECKING:
@@ -36,6 +37,21 @@ class Made:
     stretches: int
     """Stretches between declared breaks, each smoothed by itself."""
     on_line: Smoothed | None = None
+
+
+def smoothed_config(config: Config) -> Config:
+    """``config`` with its bank, if it has one, dissolved into the estimator that is smoothed.
+
+    Raises :class:`CompanionError` where a smoother can follow none of them.
+    """
+    if not config.bank.estimators:
+        return config
+    name = smoothable(config)
+    if name is None:
+        raise CompanionError(
+            "key 'bank.estimators': a smoother needs an error-state one among them"
+        )
+    return alone(config, name)
 
 
 def smooth_vehicle(
@@ -93,16 +109,22 @@ def smooth_run(
     config_path: Path | None,
     vehicle_name: str | None,
     window: int | None = None,
+    estimator: str | None = None,
 ) -> dict[str, Any]:
-    """Smooth every vehicle into a run log, the smoothed solution beside the forward one."""
+    """Smooth every vehicle into a run log, the smoothed solution beside the forward one.
+
+    Of a bank, the forward solution is the published one, and its first estimator that a smoother
+    can follow is smoothed; ``estimator`` names another, which then runs alone.
+    """
     from replay.preparation import navigable, withhold_gnss
 
-    recording, chosen = read(console, [run], config_path, vehicle_name)
+    recording, chosen = read(console, [run], config_path, vehicle_name, estimator)
     # The forward run's part is the filter's; what is smoothed comes from below.
     config = msgspec.structs.replace(
         chosen.config, smoothing=msgspec.structs.replace(chosen.config.smoothing, enabled=False)
     )
     chosen = replace(chosen, config=config, toml=to_toml(config))
+    config = smoothed_config(config)
     # What the run itself was refused stays withheld, and is judged as an outage.
     outages = outages or read_windows(recording.metadata.get("outages", ""))
     fit, _ = navigable(recording, chosen.config, vehicle_name)

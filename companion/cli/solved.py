@@ -38,23 +38,33 @@ def solve(
     config_path: Path | None,
     vehicle_name: str | None,
     solution: SolutionKind,
+    estimator: str | None = None,
 ) -> Solved:
-    """The solution that a run log holds, else that of a replay; no log is written."""
-    solved = _solve_forward(console, run, config_path, vehicle_name)
+    """The solution that a run log holds, else that of a replay; no log is written.
+
+    With ``estimator``, a member of a bank or other words of ``companion compare``, always a replay
+    by that one alone: a run log has innovations and adaptation of the published one only.
+    """
+    solved = _solve_forward(console, run, config_path, vehicle_name, estimator)
     if solution == "forward":
         return solved
     if solved.smoothed is not None:
         return replace(solved, solution=solved.smoothed)
-    from companion.cli.smooth import smooth_vehicle
+    from companion.cli.smooth import smooth_vehicle, smoothed_config
 
-    made = smooth_vehicle(console, solved.vehicle, solved.config, "bryson-frazier", None, True)
+    config = smoothed_config(solved.config)
+    made = smooth_vehicle(console, solved.vehicle, config, "bryson-frazier", None, True)
     return replace(solved, solution=made.solution)
 
 
 def _solve_forward(
-    console: Console, run: Path, config_path: Path | None, vehicle_name: str | None
+    console: Console,
+    run: Path,
+    config_path: Path | None,
+    vehicle_name: str | None,
+    estimator: str | None,
 ) -> Solved:
-    if run.suffix == ".mcap" and config_path is None:
+    if run.suffix == ".mcap" and config_path is None and estimator is None:
         from replay.configuration import choose_config
         from replay.run_log import read_solution
 
@@ -77,7 +87,7 @@ def _solve_forward(
             )
     from replay.preparation import navigable
 
-    recording, chosen = read(console, [run], config_path, vehicle_name)
+    recording, chosen = read(console, [run], config_path, vehicle_name, estimator)
     fit, _ = navigable(recording, chosen.config, vehicle_name)
     with present.notice_if_slow(console, LOADING):
         from replay import session

@@ -49,7 +49,7 @@ from companion.config.live_checks import check_live
 from companion.config.ranges import positive, rotation, within
 from companion.config.raw_gnss import RawGnss, check_raw_gnss
 from companion.config.section import Section
-from companion.config.settings import changed
+from companion.config.settings import changed, smoothable
 from companion.config.spelled import to_toml
 from companion.types import ConfigError
 
@@ -284,8 +284,8 @@ def _check_bank(config: Config) -> None:
             raise ConfigError(f"key 'bank.estimators': {error}") from None
     if len(names) == 1 or len(set(names)) < len(names):
         raise ConfigError("key 'bank.estimators': two or more, each once; or none")
-    if names and config.smoothing.enabled:
-        raise ConfigError("key 'smoothing.enabled': not with bank.estimators")
+    if names and config.smoothing.enabled and smoothable(config) is None:
+        raise ConfigError("key 'smoothing.enabled': only with an error-state estimator in the bank")
 
 
 def parse(text: str, origin: str = "configuration") -> Config:

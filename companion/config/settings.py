@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 import msgspec
 
 from companion.config.adaptation import METHODS
-from companion.config.estimator import EngineConfig
+from companion.config.estimator import Bank, EngineConfig
 from companion.types import ConfigError
 
 if TYPE_CHECKING:
@@ -64,6 +64,17 @@ def changed(config: Config, text: str) -> Config:
         else:
             raise ConfigError(f"unknown '{word}'; known are {', '.join(words())}")
     return config
+
+
+def alone(config: Config, text: str) -> Config:
+    """``config`` with its bank dissolved into the one estimator that ``text`` says."""
+    return changed(msgspec.structs.replace(config, bank=Bank()), text)
+
+
+def smoothable(config: Config) -> str | None:
+    """The first estimator of a bank that a smoother can follow; None where there is none."""
+    names = config.bank.estimators
+    return next((n for n in names if alone(config, n).engine.estimator != "direct"), None)
 
 
 def uses_direct(config: Config) -> bool:

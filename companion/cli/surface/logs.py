@@ -9,6 +9,7 @@ import typer
 
 from companion.cli.surface.options import (
     ConfigPath,
+    EstimatorName,
     JsonFlag,
     SolutionName,
     VehicleName,
@@ -85,6 +86,7 @@ def evaluate(
         ),
     ] = None,
     solution: SolutionName = "forward",
+    estimator: EstimatorName = None,
     config: ConfigPath = None,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
@@ -100,7 +102,7 @@ def evaluate(
     from companion.cli.results import evaluate_run
 
     span = windows[0] if windows else None
-    emit_if(as_json, evaluate_run(console, run, truth, span, config, vehicle, solution))
+    emit_if(as_json, evaluate_run(console, run, truth, span, config, vehicle, solution, estimator))
 
 
 def compare(
@@ -186,6 +188,7 @@ def smooth(
             help="Withhold GNSS, as in replay; without it what the run itself withheld.",
         ),
     ] = None,
+    estimator: EstimatorName = None,
     config: ConfigPath = None,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
@@ -203,8 +206,9 @@ def smooth(
     if window is not None and method != "on-line":
         raise typer.BadParameter("goes with --method on-line", param_hint="'--window'")
     made = smooth_run(
-        console, run, method, rate, not states_only, out, windows, config, vehicle, window
-    )
+        console, run, method, rate, not states_only, out, windows, config, vehicle, window,
+        estimator,
+    )  # fmt: skip
     emit_if(as_json, made)
 
 
@@ -237,6 +241,7 @@ def export(
             help="At most this many epochs a second; without it all in csv and ros2, 5 in maps.",
         ),
     ] = None,
+    estimator: EstimatorName = None,
     config: ConfigPath = None,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
@@ -250,7 +255,9 @@ def export(
     console = console_for(as_json)
     from companion.cli.results import export_run
 
-    result = export_run(console, run, output, file_format, config, vehicle, solution, rate)
+    result = export_run(
+        console, run, output, file_format, config, vehicle, solution, rate, estimator
+    )
     emit_if(as_json, result)
 
 
@@ -267,6 +274,7 @@ def report(
             help="Without it ./<log>.report.html.",
         ),
     ] = None,
+    estimator: EstimatorName = None,
     config: ConfigPath = None,
     vehicle: VehicleName = None,
     as_json: JsonFlag = False,
@@ -280,7 +288,7 @@ def report(
     console = console_for(as_json)
     from companion.cli.results import report_run
 
-    emit_if(as_json, report_run(console, run, output, config, vehicle))
+    emit_if(as_json, report_run(console, run, output, config, vehicle, estimator))
 
 
 def batch(

@@ -30,6 +30,14 @@ ConfigPath = Annotated[
         "for its format. The output says which.",
     ),
 ]
+EstimatorName = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Not what was published: the log replayed by this estimator alone, one of a bank or "
+        "words as companion compare takes them, such as direct or error-state+none.",
+    ),
+]
 VehicleName = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Only this vehicle of a log that holds several."),
