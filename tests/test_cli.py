@@ -294,6 +294,23 @@ def test_log_replays_to_the_same_digest(flown: tuple[Path, Any, str], run: Any) 
     assert "came with" in again.json["vehicles"][0]["config"]
 
 
+def test_one_estimator_of_a_log_is_evaluated_by_name(
+    flown: tuple[Path, Any, str], run: Any
+) -> None:
+    """The same inputs with the same windows withheld, by that estimator."""
+    out, result, _ = flown
+    ran = run("evaluate", out, "--estimator", "error-state+none", "--json")
+    assert ran.status == 0, ran.err
+    (vehicle,) = result["vehicles"]
+    assert ran.json["digest"] != vehicle["digest"]
+    assert [o["start_s"] for o in ran.json["outages"]] == [
+        o["start_s"] for o in vehicle["accuracy"]["outages"]
+    ]
+    ran = run("evaluate", out, "--estimator", "kalman", "--json")
+    assert ran.status == 1
+    assert "--estimator: unknown 'kalman'" in ran.err
+
+
 def test_export_writes_the_published_columns(
     flown: tuple[Path, Any, str], run: Any, tmp_path: Path
 ) -> None:

@@ -94,7 +94,9 @@ def _solve_forward(
     if len(fit) > 1:
         console.print(f"Vehicle {escape(fit[0].name)}, the first of several; --vehicle NAME")
     with present.progress(console, f"Vehicle {fit[0].name}") as update:
-        result = session.run_session(fit[0], chosen, progress=update)
+        # What the run itself was refused stays withheld.
+        withheld = read_windows(recording.metadata.get("outages", ""))
+        result = session.run_session(fit[0], chosen, outages=withheld, progress=update)
     return Solved(
         result.vehicle,
         chosen.config,
@@ -102,6 +104,7 @@ def _solve_forward(
         result.reports,
         result.digest,
         result.digest_published,
+        withheld,
         events=result.events,
         notes=recording.notes,
         adaptation=result.adaptation,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -9,8 +11,10 @@ import pytest
 from companion.bank import Bank, navigator
 from companion.config import Bank as BankConfig
 from companion.config import parse
+from companion.config.settings import alone
 from companion.engine import Engine
-from companion.types import NS, ConfigError, Outputs, Solution
+from companion.types import NS, ConfigError, Outputs, Recording, Smoothed, Solution
+from replay.configuration import choose_config
 from replay.evaluation import errors_against
 from replay.player import arrivals, play
 from replay.simulator.simulation import Simulation, run
@@ -91,5 +95,34 @@ def test_one_estimator_is_an_engine_and_bad_banks_are_refused() -> None:
         parse('[bank]\nestimators = ["error-state", "kalman"]')
     with pytest.raises(ConfigError, match="two or more"):
         parse('[bank]\nestimators = ["direct"]')
-    with pytest.raises(ConfigError, match="not with bank"):
-        parse('[bank]\nestimators = ["fuzzy", "none"]\n[smoothing]\nenabled = true')
+    with pytest.raises(ConfigError, match="error-state estimator in the bank"):
+        parse('[bank]\nestimators = ["direct", "direct+none"]\n[smoothing]\nenabled = true')
+
+
+def test_the_first_estimator_that_can_be_is_smoothed_on_line(flight: Simulation) -> None:
+    config = _config("direct", "error-state")
+    config = msgspec.structs.replace(
+        config, smoothing=msgspec.structs.replace(config.smoothing, enabled=True, rate_hz=5.0)
+    )
+    parts: list[Smoothed] = []
+    bank = play(flight.recording, config, lambda _, out: parts.append(out.smoothed))
+    mine = play(flight.recording, alone(config, "error-state"))
+    assert bank.digest_smoothed == mine.digest_smoothed is not None
+    assert sum(len(p) for p in parts) > 200
+
+
+def test_a_slow_imu_leaves_a_bank_what_it_can_run(flight: Simulation) -> None:
+    """At 4 Hz: those that are the direct filter, by name or because nothing else is said."""
+    imu = tuple(s.take(slice(None, None, 25)) for s in flight.recording.imu)
+    vehicle = replace(flight.recording, imu=imu)
+
+    def chosen(names: str) -> tuple[tuple[str, ...], str, str]:
+        text = f"[bank]\nestimators = {names}"
+        found = choose_config(Recording("slow", "folder", (vehicle,), config_toml=text))
+        return found.config.bank.estimators, found.config.engine.estimator, found.origin
+
+    names, estimator, origin = chosen('["error-state", "direct", "no-mag"]')
+    assert (names, estimator) == (("direct", "no-mag"), "direct")
+    assert "left out of the bank: error-state" in origin
+    assert chosen('["error-state", "direct"]')[:2] == ((), "direct")
+    assert "left out" not in chosen('["direct", "no-baro"]')[2]
