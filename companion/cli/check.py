@@ -12,8 +12,8 @@ from rich.markup import escape
 from companion import present
 from companion.cli.commands import compile_kernels, plain
 from companion.config import load
-from companion.runtime.check.findings import Finding, findings
-from companion.runtime.check.heard import Heard
+from companion.runtime.check.findings import findings
+from companion.runtime.check.heard import Finding, Heard
 from companion.types import ConfigError
 from replay.kernels import parts_of
 
@@ -24,8 +24,10 @@ _SHOWN_IDS = 16
 def check_config(console: Console, path: Path, seconds: float) -> dict[str, Any]:
     """Validate, open, listen, judge; what ``--json`` prints, with ``ok`` for the exit status."""
     config = load(path)
-    if not config.can and not config.mavlink.endpoint:
-        raise ConfigError(f"{path}: no link to listen to; it needs [[can]] or mavlink.endpoint")
+    if not config.can and not config.mavlink.endpoint and not config.raw_gnss.endpoint:
+        raise ConfigError(
+            f"{path}: no link to listen to; it needs [[can]], mavlink.endpoint or raw_gnss.endpoint"
+        )
     compile_kernels(parts_of(config))
     with present.notice_if_slow(console, "Loading …"):
         from companion.runtime.check.listen import listen
@@ -67,6 +69,7 @@ def _described(heard: Heard) -> dict[str, Any]:
             "can": buses,
             "imus": heard.imus,
             "mavlink": heard.mavlink,
+            "receiver": heard.receiver,
             "streams": streams,
             "zenoh": heard.zenoh,
             "log": heard.log,

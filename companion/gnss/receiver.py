@@ -132,6 +132,7 @@ class Receiver:
         rows, sky = np.empty((len(sat), ROW_SIZE)), np.empty((len(sat), 2))
         point, used = np.full(POINT_SIZE, np.nan), np.ones(len(sat), np.int64)
         code, m = TOO_FEW, 0
+        begun = bool(self._place.any())
         # From nowhere, the first solution only tells what is low and where the ionosphere is.
         for _ in range(2):
             known = bool(self._place.any())
@@ -144,6 +145,8 @@ class Receiver:
                 self._place, self._place_s = point[P_POS : P_POS + 3].copy(), now
             if known or code != SOLVED:
                 break
+        if not begun and code != SOLVED:
+            self._place[:] = 0.0  # a beginning that led nowhere is none
         return self._finish(t_ns, now, rows[:m], sky[:m], used[:m], code, point, without)
 
     def _arranged(self, raw: RawGnssSamples) -> _Block:

@@ -3,7 +3,8 @@
 Where a filter starts from, what it is compared with, and the guard against a satellite whose range
 contradicts the others. Faults are found by the largest normalised residual (Baarda's data
 snooping; Groves 2013, section 17.4): w² = r² / (σ² − h (HᵀWH)⁻¹ hᵀ), one satellite at a time, as
-long as the sum of squared residuals says that something is wrong.
+long as the sum of squared residuals says that something is wrong, and as long as the right ones are
+the many.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ FIX_SIZE = 12
 NaN where unknown."""
 
 SOLVED, TOO_FEW, SINGULAR, FAULTY = 0, 1, 2, 3
-"""FAULTY: the ranges contradict each other and too few are left to tell which is wrong."""
+"""FAULTY: the ranges contradict each other, and too few agree to tell which are wrong."""
 TURNS = 12
 _EARTH = 1e6
 
@@ -187,7 +188,7 @@ def least_squares(
 def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> int:
     """Solve one epoch of ``m`` corrected satellites, leaving out those at fault.
 
-    ``start`` (3,): ECEF guess, zeros will do. ``gates`` (D,): limit of the sum of squared residuals
+    ``start`` (3,): ECEF guess; zeros will do, for a place to begin from that needs no majority. ``gates`` (D,): limit of the sum of squared residuals
     for 1…D degrees of freedom. ``point`` (:data:`POINT_SIZE`,) is filled; ``used`` (m,) says whom
     it rests on: 1 used, 0 left out. Returns :data:`SOLVED` or why not.
     """
@@ -201,6 +202,11 @@ def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> i
     for s in range(m):
         if seen[int(rows[s, S_SYSTEM])] == 1:
             used[s] = 0
+    # From nowhere, nothing is corrected that depends on elevation: any agreement is a beginning.
+    lenient = start[0] == 0.0 and start[1] == 0.0
+    spare, excluded = -3, 0
+    for k in range(SYSTEMS):
+        spare += seen[k] - 1 if seen[k] > 1 else 0
     while True:
         code = least_squares(rows, m, used, True, start, point, N, w)
         if code != SOLVED:
@@ -208,7 +214,11 @@ def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> i
         dof = int(point[P_DOF])
         if dof < 1 or point[P_SUM] <= gates[min(dof, gates.shape[0]) - 1]:
             return SOLVED
-        if dof < 2:
+        # Half of what is redundant is the most that any method can tell from the rest (breakdown
+        # point of a regression; Rousseeuw and Leroy 1987, section 3.4): what then agrees need not
+        # be right. A receiver's time that is off by a second looks like that.
+        excluded += 1
+        if dof < 2 or (2 * excluded > spare and not lenient):
             return FAULTY
         worst = -1
         for s in range(m):

@@ -21,6 +21,7 @@ PATIENCE_S = 120.0
 def vehicle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[VehicleProcess]:
     device = tmp_path_factory.mktemp("check") / "can"
     arguments = ["--mavlink", "udpin:127.0.0.1:0", "--can", str(device), "--rest", "100"]
+    arguments += ["--receiver", "tcp", "--receiver-protocol", "rtcm3"]
     with VehicleProcess([*arguments, "--imu-rate", "100"]) as process:
         yield process
 
@@ -31,6 +32,8 @@ def configuration(folder: Path, vehicle: VehicleProcess, node: int) -> Path:
         f'[[can]]\ninterface = "slcan"\nchannel = "{vehicle.ready["can"]}"\n'
         f'[[can.imu]]\nname = "can-imu"\nprotocol = "dronecan"\nnode_id = {node}\n'
         f'[mavlink]\nendpoint = "{vehicle.ready["mavlink"]}"\ngnss_rate_hz = 5.0\n'
+        f'[raw_gnss]\nendpoint = "{vehicle.ready["receiver"]}"\nprotocol = "rtcm3"\n'
+        'coupling = "tight"\n'
         f'[zenoh]\nlisten = ["tcp/127.0.0.1:{free_port()}"]\n'
         f'[log]\ndirectory = "{folder / "logs"}"\n',
         encoding="utf-8",
@@ -58,6 +61,10 @@ def test_all_is_heard(vehicle: VehicleProcess, tmp_path: Path) -> None:
     assert said["mavlink"]["systems"][0]["autopilot"] == "ArduPilot"
     assert {s["source"] for s in said["streams"]} >= {"GPS_RAW_INT", "SCALED_PRESSURE"}
     assert "ArduPilot, system 1" in text
+    assert said["receiver"]["rate_hz"] == pytest.approx(5.0, rel=0.2)
+    assert said["receiver"]["satellites"]["GPS"] >= 4
+    assert said["receiver"]["ephemerides"]
+    assert "raw GNSS at " in text
 
 
 def test_a_wrong_node_number_is_put_right(vehicle: VehicleProcess, tmp_path: Path) -> None:

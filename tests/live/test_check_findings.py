@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.config import CanBus, CanImu, Config, Imu, Mavlink
-from companion.runtime.check.findings import Finding, findings
+from companion.config import CanBus, CanImu, Config, Imu, Mavlink, RawGnss
+from companion.gnss.systems import GPS
+from companion.runtime.check.findings import findings
 from companion.runtime.check.heard import (
     CanHeard,
+    Finding,
     Heard,
     ImuHeard,
     MavlinkHeard,
@@ -21,8 +25,12 @@ from companion.runtime.check.heard import (
     StreamHeard,
     SystemHeard,
 )
+from companion.runtime.check.receiver import ReceiverTally
 from companion.runtime.check.tally import MavlinkTally, SampleTally
 from companion.types import NS, GnssSamples, ImuSamples
+from drivers.ublox.framer import pack
+from replay.simulator.constellation import ephemerides
+from replay.simulator.live import rtcm, ubx
 
 UNIT = CanImu(name="can-imu", protocol="dronecan")
 CONFIG = Config(can=(CanBus(channel="can0", imu=(UNIT,)),), mavlink=Mavlink(endpoint="/dev/tty0"))
@@ -212,3 +220,74 @@ def test_senders_are_told_apart() -> None:
     assert (ground.system, ground.autopilot, ground.messages) == (255, "", {"HEARTBEAT": 1.0})
     assert tally.since_mark((255, 1)) == {"HEARTBEAT": 1}
     assert tally.bad_bytes == 5
+
+
+# --------------------------------------------------------------------------- raw GNSS
+
+RECEIVER = RawGnss(endpoint="tcp:10.0.0.2:5000", coupling="tight")
+SATS, RANGES = np.array([101, 105, 110, 122, 231]), np.array([2.1e7, 2.2e7, 2.3e7, 2.1e7, 2.6e7])
+
+
+def receiver_said(config: RawGnss, *pieces: bytes) -> list[Finding]:
+    tally = ReceiverTally(config)
+    for k, data in enumerate(pieces):
+        tally.feed(k, 1_750_000_000 * NS + k * NS // 5, data)
+    whole = Config(can=CONFIG.can, mavlink=CONFIG.mavlink, raw_gnss=config)
+    found = findings(whole, heard(receiver=tally.heard("")))
+    return [f for f in found if f.part == config.endpoint]
+
+
+def ubx_epochs(count: int) -> list[bytes]:
+    rates = np.ones(len(SATS))
+    return [ubx.rawx(2300, 100.0 + 0.2 * k, SATS, RANGES, rates) for k in range(count)]
+
+
+def test_a_receiver_in_order() -> None:
+    row = next(r for r in ephemerides((GPS,), 2300, 0.0, 10.0) if r[0] == 101)
+    [finding] = receiver_said(RECEIVER, *ubx_epochs(20), *ubx.lnav(row))
+    assert (finding.level, finding.text) == (
+        "ok", "raw GNSS at 5.0 Hz, satellites G4 E1, 45 dB-Hz, 1 ephemerides",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("pieces", "text", "advice"),
+    [
+        ((), "nothing came", "raw_gnss.baud"),
+        ((b"\x00\xf1\x7e" * 40,), "120 bytes, none of them UBX", "raw_gnss.baud"),
+        ((b"$GNGGA,1*00\r\n" * 9,), "none of them UBX", "NMEA comes, which has no ranges"),
+        (rtcm.epoch(50.0, SATS, RANGES, RANGES * 0), "none of them UBX", "protocol = 'rtcm3'"),
+        ((pack(0x0135, bytes(8)),), "heard are UBX 01-35", "UBX-RXM-RAWX"),
+    ],
+)
+def test_a_receiver_that_sends_something_else(
+    pieces: Sequence[bytes], text: str, advice: str
+) -> None:
+    [finding] = receiver_said(RECEIVER, *pieces)
+    assert finding.level == "error"
+    assert text in finding.text
+    assert advice in finding.advice
+
+
+def test_a_receiver_that_could_say_more() -> None:
+    config = RawGnss(endpoint="/dev/ttyUSB0", protocol="rtcm3")
+    rates = np.full(len(SATS), np.nan)
+    pieces = [b"".join(rtcm.epoch(50.0 + k, SATS, RANGES, rates, kind=4)) for k in range(5)]
+    pieces[2] = pieces[2][:-5]
+    texts = {f.text: f.advice for f in receiver_said(config, *pieces)}
+    assert "MSM5 or MSM7" in texts["no Doppler: no velocity from it"]
+    assert "1019" in texts["no ephemeris in 8 s"]
+    assert "coupling" in texts["is logged and not used"]
+    assert "baud" in texts["1 broken messages beside 9"]
+
+
+def test_ranges_stand_in_for_fixes_where_they_are_used() -> None:
+    tally = ReceiverTally(RECEIVER)
+    for data in ubx_epochs(10):
+        tally.feed(1, NS, data)
+    receiver = tally.heard("")
+    for coupling, missing in (("tight", False), ("off", True)):
+        raw = msgspec.structs.replace(RECEIVER, coupling=coupling)
+        config = Config(can=CONFIG.can, mavlink=CONFIG.mavlink, raw_gnss=raw)
+        found = findings(config, heard(streams=(), receiver=receiver))
+        assert (("error", "gnss") in problems(found)) is missing

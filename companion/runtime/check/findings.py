@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
 
 from companion.config import G0, CanBus, CanImu, Config
-from companion.runtime.check.heard import CanHeard, Heard, ImuHeard, MavlinkHeard, StreamHeard
+from companion.runtime.check.heard import (
+    CanHeard,
+    Finding,
+    Heard,
+    ImuHeard,
+    MavlinkHeard,
+    StreamHeard,
+)
+from companion.runtime.check.receiver import receiver_findings
 from companion.types import GnssSamples
 
 SLOW = 0.7
@@ -21,20 +27,6 @@ REST_DPS, REST_MPS2 = 3.0, 0.6
 """A mean rate and a misfit of gravity above these: the vehicle moves, or a unit is wrong."""
 _RAW_IMU = 1003
 
-Level = Literal["ok", "warning", "error"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that a check found."""
-
-    level: Level
-    part: str
-    """The link or stream that it is about."""
-    text: str
-    advice: str = ""
-    """What to do about it; empty where all is well."""
-
 
 def findings(config: Config, heard: Heard) -> list[Finding]:
     """Everything worth saying, in the order of the data path."""
@@ -43,6 +35,8 @@ def findings(config: Config, heard: Heard) -> list[Finding]:
         out += _bus(bus, bus_heard, heard)
     if heard.mavlink is not None:
         out += _mavlink(config, heard.mavlink)
+    if heard.receiver is not None:
+        out += receiver_findings(config, heard.receiver, heard.seconds)
     out += _inertial(config, heard)
     out += _aiding(config, heard)
     for output in (heard.zenoh, heard.log):
@@ -219,7 +213,8 @@ def _no_autopilot(config: Config, heard: MavlinkHeard) -> Finding:
 
 def _aiding(config: Config, heard: Heard) -> Iterator[Finding]:
     fixes = [s for s in heard.streams if s.kind == "gnss"]
-    if not fixes:
+    ranges = heard.receiver is not None and heard.receiver.epochs > 0
+    if not fixes and not (ranges and config.raw_gnss.coupling != "off"):
         advice = "mavlink.gnss_rate_hz, a receiver on the autopilot"
         yield Finding("error", "gnss", "no GNSS messages", advice)
     for stream in fixes:

@@ -9,6 +9,20 @@ from companion.types import AnySamples
 
 Vec3 = tuple[float, float, float]
 
+Level = Literal["ok", "warning", "error"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that a check found."""
+
+    level: Level
+    part: str
+    """The link or stream that it is about."""
+    text: str
+    advice: str = ""
+    """What to do about it; empty where all is well."""
+
 
 @dataclass(frozen=True, slots=True)
 class ImuHeard:
@@ -99,6 +113,34 @@ class MavlinkHeard:
 
 
 @dataclass(frozen=True, slots=True)
+class ReceiverHeard:
+    """A satellite receiver on a line of its own."""
+
+    name: str
+    protocol: str
+    """As configured: ``ublox`` or ``rtcm3``."""
+    refused: str = ""
+    bytes: int = 0
+    frames: int = 0
+    """Messages of the configured protocol whose check bytes fit."""
+    malformed: int = 0
+    other_protocol: dict[str, int] = field(default_factory=dict)
+    """Messages of those that were not configured."""
+    nmea: int = 0
+    kinds: dict[str, int] = field(default_factory=dict)
+    """Messages by kind: ``UBX 02-15``, ``1077``."""
+    epochs: int = 0
+    rate_hz: float = 0.0
+    satellites: dict[str, int] = field(default_factory=dict)
+    """Measured in the last epoch, by system."""
+    cn0_dbhz: float = float("nan")
+    """Median."""
+    doppler: bool = False
+    ephemerides: tuple[str, ...] = ()
+    """Satellites whose ephemeris came."""
+
+
+@dataclass(frozen=True, slots=True)
 class OutputHeard:
     """Something that is opened and not listened to: zenoh, the log's directory."""
 
@@ -118,3 +160,4 @@ class Heard:
     streams: tuple[StreamHeard, ...]
     zenoh: OutputHeard | None
     log: OutputHeard
+    receiver: ReceiverHeard | None = None

@@ -23,6 +23,7 @@ from companion.runtime.check.heard import (
     OutputHeard,
     RateHeard,
 )
+from companion.runtime.check.receiver import ReceiverTally
 from companion.runtime.check.tally import MavlinkTally, SampleTally
 from companion.runtime.drivers import can_decoders, mavlink_session
 from companion.types import CompanionError, ConfigError, LinkLost
@@ -76,6 +77,9 @@ class _Listener:
         self._session = mavlink_session(mavlink, directory) if mavlink.endpoint else None
         self._endpoint: Endpoint | None = None
         self._mavlink_refused = ""
+        self._receiver = ReceiverTally(config.raw_gnss) if config.raw_gnss.endpoint else None
+        self._receiver_line: Endpoint | None = None
+        self._receiver_refused = ""
         self._samples = SampleTally()
         self._traffic = MavlinkTally()
         self._seq = 0
@@ -108,10 +112,16 @@ class _Listener:
             mavlink = self._config.mavlink
             try:
                 self._endpoint = open_endpoint(mavlink.endpoint, mavlink.baud)
+                self._watch(self._endpoint.fileno(), self._read_mavlink)
             except CompanionError as error:
                 self._mavlink_refused = _reason(error, mavlink.endpoint)
-                return
-            self._watch(self._endpoint.fileno(), self._read_mavlink)
+        if self._receiver is not None:
+            raw_gnss = self._config.raw_gnss
+            try:
+                self._receiver_line = open_endpoint(raw_gnss.endpoint, raw_gnss.baud)
+                self._watch(self._receiver_line.fileno(), self._read_receiver)
+            except CompanionError as error:
+                self._receiver_refused = _reason(error, raw_gnss.endpoint)
 
     def _watch(self, fileno: int, read: Callable[[], None]) -> None:
         self._selector.register(fileno, selectors.EVENT_READ, read)
@@ -121,8 +131,9 @@ class _Listener:
         for bus in self._buses:
             if bus.transport is not None:
                 bus.transport.close()
-        if self._endpoint is not None:
-            self._endpoint.close()
+        for endpoint in (self._endpoint, self._receiver_line):
+            if endpoint is not None:
+                endpoint.close()
 
     # ------------------------------------------------------------------ time
 
@@ -188,6 +199,21 @@ class _Listener:
         for samples in self._session.take():
             self._samples.add(self._endpoint.name, samples)
 
+    def _read_receiver(self) -> None:
+        assert self._receiver is not None
+        assert self._receiver_line is not None
+        try:
+            pieces = self._receiver_line.read()
+        except LinkLost as error:
+            self._selector.unregister(self._receiver_line.fileno())
+            self._receiver_refused = _reason(error, self._config.raw_gnss.endpoint)
+            return
+        now = time.time_ns()
+        for data in pieces:
+            self._seq += 1
+            for fix in self._receiver.feed(self._seq, now, data):
+                self._samples.add(self._receiver_line.name, fix)
+
     # ------------------------------------------------------------------ what came of it
 
     def _heard(self, seconds: float, zenoh: OutputHeard | None) -> Heard:
@@ -210,6 +236,7 @@ class _Listener:
             streams=self._samples.streams(),
             zenoh=zenoh,
             log=log_directory(Path(self._config.log.directory)),
+            receiver=self._receiver.heard(self._receiver_refused) if self._receiver else None,
         )
 
     def _mavlink_heard(self, seconds: float) -> MavlinkHeard | None:
