@@ -40,6 +40,10 @@ FAULT_PROBABILITY = 1e-4
 """That the test of an epoch's residuals cries fault where there is none."""
 GUESS_S = 600.0
 """A place this old no longer tells elevations or clock steps."""
+QUIET_S = 60.0
+"""Contradictions that come back sooner are one."""
+NO_EPHEMERIS_S = 60.0
+"""A satellite repeats its own every 30 s."""
 MOST_DOF = 64
 FASTEST_MPS = 100.0
 
@@ -100,6 +104,8 @@ class Receiver:
         """Epochs of four satellites and more whose ranges fit no place."""
         self._place = np.zeros(3)
         self._place_s = -math.inf
+        self._begun_s: float | None = None
+        self._contradicted_s = -math.inf
         self._block: _Block | None = None
         self._set: tuple[int, ...] = ()
         self._seen = b""
@@ -183,11 +189,36 @@ class Receiver:
         lines_of_sight(sky, lines)
         dilution(lines, rows[:, S_SYSTEM].astype(np.int64), len(rows), dop)
         events = self._events(t_ns, rows, dop, excluded, without)
+        said = self._troubles(t_ns, now, not solved and code != TOO_FEW, without)
+        events = (*said, *events)
         if let_go:
             text = "the receiver's clock jumped: it is found again"
             events = (Event(t_ns, "receiver-clock", text), *events)
         at = point if solved else None
         return Prepared(t_ns, rows, sky, at, dop, excluded, without, events, let_go)
+
+    def _troubles(
+        self, t_ns: int, now: float, contradicting: bool, without: dict[str, list[int]]
+    ) -> tuple[Event, ...]:
+        """What keeps the ranges as a whole from being used, when it begins."""
+        out = []
+        if contradicting and now - self._contradicted_s > QUIET_S:
+            text = (
+                "too few satellites agree on a place, none is used: the receiver's time, its "
+                "ephemerides, or signals that are not the satellites'"
+            )
+            out.append(Event(t_ns, "ranges-contradict", text, "warning"))
+        if contradicting:
+            self._contradicted_s = now
+        if self._begun_s is None:
+            self._begun_s = now
+        if not len(self.ephemerides) and "missing" in without:
+            waited = now - self._begun_s
+            if waited >= NO_EPHEMERIS_S:
+                self._begun_s = math.inf
+                text = f"no ephemeris in {waited:.0f} s: does the receiver send them?"
+                out.append(Event(t_ns, "no-ephemerides", text, "warning"))
+        return tuple(out)
 
     def _offset(self, now: float, rows: F64, point: F64 | None) -> float:
         """Clock offset to take off; without a solution, steps are looked for at the last place."""

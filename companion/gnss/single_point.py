@@ -188,9 +188,10 @@ def least_squares(
 def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> int:
     """Solve one epoch of ``m`` corrected satellites, leaving out those at fault.
 
-    ``start`` (3,): ECEF guess; zeros will do, for a place to begin from that needs no majority. ``gates`` (D,): limit of the sum of squared residuals
-    for 1…D degrees of freedom. ``point`` (:data:`POINT_SIZE`,) is filled; ``used`` (m,) says whom
-    it rests on: 1 used, 0 left out. Returns :data:`SOLVED` or why not.
+    ``start`` (3,): ECEF guess; zeros will do, for a place to begin from, which needs no majority.
+    ``gates`` (D,): limit of the sum of squared residuals for 1…D degrees of freedom. ``point``
+    (:data:`POINT_SIZE`,) is filled; ``used`` (m,) says whom it rests on: 1 used, 0 left out.
+    Returns :data:`SOLVED` or why not.
     """
     N, w = np.zeros((8, 8)), np.zeros(m)
     seen = np.zeros(SYSTEMS, np.int64)

@@ -54,7 +54,8 @@ def _errors(prepared: list[Prepared], place: F64) -> F64:
 
 
 def _said(prepared: list[Prepared]) -> set[str]:
-    return {e.text.split(": ")[1] for p in prepared for e in p.events if "refused" in e.kind}
+    events = [e for p in prepared for e in p.events]
+    return {e.text.split(": ")[1] for e in events if e.kind == "satellite-refused"}
 
 
 def _changed(messages: BroadcastSamples, who: range, change: dict[int, float]) -> BroadcastSamples:
@@ -73,8 +74,10 @@ def test_missing_ephemerides_cost_their_satellites_and_nothing_else() -> None:
     assert _errors(prepared, place).max() < HONEST_M
     assert len(_errors(prepared, place)) == SECONDS
     assert all(set(p.without["missing"]) <= set(range(101, 118)) for p in prepared)
-    none, _ = _run(sky.raw)
+    later = replace(sky.raw, tow=sky.raw.tow + np.linspace(0.0, 100.0, SECONDS))
+    none, _ = _run(later)
     assert all(p.point is None and len(p.rows) == 0 for p in none)
+    assert [e.kind for p in none for e in p.events].count("no-ephemerides") == 1
 
 
 @pytest.mark.parametrize("weeks", [-1, -1024, 1024])
@@ -137,6 +140,7 @@ def test_epochs_whose_time_is_off_by_leap_seconds_give_no_place(seconds: float) 
     # A second is 3 km along each orbit; what is left of it after the clock contradicts itself.
     assert len(errors) == 0 or errors.max() < HONEST_M
     assert receiver.unsolved + len(errors) == SECONDS
+    assert [e.kind for p in prepared for e in p.events].count("ranges-contradict") == 1
 
 
 @pytest.mark.parametrize(
