@@ -31,6 +31,7 @@ from drivers.mavlink import samples as messages
 from drivers.mavlink.columns import decode
 from drivers.mavlink.dialect import message_id
 from drivers.mavlink.framer import U8, FrameIndex, index_frames
+from drivers.mavlink.readings import Readings
 from drivers.mavlink.samples import Stamps, Table, column, triple
 from replay.clocks import (
     Clock,
@@ -95,7 +96,10 @@ def _mag(stream: _Stream, name: str) -> MagSamples | None:
     """Magnetic field of an inertial message; None if absent or all zero."""
     table, rows = stream.message(name)
     samples = messages.mag(name, table, stream.stamps(rows, messages.boot_us(table)))
-    return replace(samples, seq=samples.seq + 2) if samples is not None else None
+    if samples is None:
+        return None
+    samples = samples.take(Readings().new(samples.field_b, samples.t_ns))
+    return replace(samples, seq=samples.seq + 2)
 
 
 def _mags(stream: _Stream) -> list[MagSamples]:
@@ -112,6 +116,7 @@ def _baro(stream: _Stream) -> list[BaroSamples]:
         table, rows = stream.message(name)
         samples = messages.baro(name, table, stream.stamps(rows, messages.boot_us(table)))
         if samples is not None and not (found and name in messages.BARO):
+            samples = samples.take(Readings().new(samples.pressure[:, None], samples.t_ns))
             found.append(replace(samples, seq=samples.seq + 1))
     return found
 

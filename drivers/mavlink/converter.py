@@ -27,6 +27,7 @@ from companion.types import (
 from drivers.mavlink import samples as messages
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.counters import SessionCounters
+from drivers.mavlink.readings import Readings
 from drivers.mavlink.samples import Stamps, Table, triple
 
 S = TypeVar("S", bound=Samples)
@@ -65,7 +66,7 @@ class Converter:
         self._seen_ns: dict[str, int] = {}
         self._newest: dict[tuple[type, str], int] = {}
         self._fix: dict[str, Table] = {}
-        self._pressure = float("nan")
+        self._readings: dict[tuple[type, str], Readings] = {}
         self._gnss: list[AnySamples] = []
         self._baro: list[AnySamples] = []
         self._mag: list[AnySamples] = []
@@ -113,12 +114,13 @@ class Converter:
         if name in messages.IMU:
             self._keep(self._imu, messages.imu(name, table, at))
         if name in messages.MAG_OTHERS or self._best(name, messages.MAG, rx_ns):
-            self._keep(self._mag, messages.mag(name, table, at))
+            field = messages.mag(name, table, at)
+            if field is not None:
+                self._keep(self._mag, self._read(field, field.field_b))
         if name in messages.BARO_OTHERS or self._best(name, messages.BARO, rx_ns):
             pressure = messages.baro(name, table, at)
-            if pressure is not None and name == "HIGHRES_IMU":
-                pressure = self._fresh(pressure)
-            self._keep(self._baro, pressure)
+            if pressure is not None:
+                self._keep(self._baro, self._read(pressure, pressure.pressure[:, None]))
 
     def _best(self, name: str, carriers: tuple[str, ...], rx_ns: int) -> bool:
         """Whether ``name`` carries a sensor and no message better at it has come lately."""
@@ -130,12 +132,13 @@ class Converter:
             for better in carriers[:place]
         )
 
-    def _fresh(self, pressure: BaroSamples) -> BaroSamples | None:
-        """Without values held from the row before: the message is faster than its barometer."""
-        values = np.concatenate([[self._pressure], pressure.pressure])
-        self._pressure = float(values[-1])
-        new = values[1:] != values[:-1]
-        return pressure.take(new) if new.any() else None
+    def _read(self, samples: S, values: F64) -> S | None:
+        """Without values held from the row before: the message is faster than its sensor."""
+        readings = self._readings.setdefault((type(samples), samples.source), Readings())
+        new = readings.new(values, samples.t_ns)
+        if new.all():
+            return samples
+        return samples.take(new) if new.any() else None
 
     def _stamps(self, boot_us: I64, seq: int, rx_ns: int) -> Stamps:
         count = boot_us.shape[0]

@@ -73,6 +73,7 @@ def test_the_autopilots_solution_is_kept_apart() -> None:
 def test_one_piece_gives_aids_before_inertial_samples() -> None:
     flight = air()
     flight.run(4.0)
+    flight.now_ns += NS // 2  # its field and pressure stay the same: until then they are repeats
     boot = flight.autopilot.boot_ns(flight.now_ns)
     names = ("HIGHRES_IMU", "SCALED_PRESSURE", "GPS_RAW_INT")
     frames = [flight.autopilot.packer.pack(flight.autopilot.message(n, boot)) for n in names]
