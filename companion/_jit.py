@@ -2,17 +2,18 @@
 
 Numba takes a kernel with an explicit signature from its cache, or compiles it, when its module is
 imported, one after the other, though most are called from within others only, whose machine code
-holds theirs. A kernel here is loaded when Python first calls it, or when another that calls it has
-to be compiled. Whoever must not wait in flight loads what it needs beforehand
-(:mod:`replay.kernels`). How the machine code is told apart: :mod:`companion._kernel_cache`.
+holds theirs. A kernel here is loaded when Python first calls it, and is a part of what calls it
+otherwise (:mod:`companion._machine_code`). Whoever must not wait in flight loads what it needs
+beforehand (:mod:`replay.kernels`). How code is told apart: :mod:`companion._kernel_cache`.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cached_property, update_wrapper
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
@@ -33,12 +34,20 @@ class Kernel(Generic[Given, Result]):
     """A jitted function of one signature; other kernels may call it, and so may Python."""
 
     def __init__(
-        self, function: Callable[Given, Result], signature: str, cached: bool, counted: bool
+        self,
+        function: Callable[Given, Result],
+        signature: str,
+        *,
+        cached: bool = True,
+        counted: bool = True,
+        entry: bool = False,
     ) -> None:
         update_wrapper(self, function)
         self._function, self._signature, self._cached = function, signature, cached
         self._counted = counted
+        self.entry = entry
         self._machine: Any = None
+        self._part: Any = None
 
     @property
     def stored_name(self) -> str:
@@ -52,9 +61,18 @@ class Kernel(Generic[Given, Result]):
         return _kernel_cache.key(self._function, how)
 
     @property
+    def calls(self) -> tuple[Kernel[..., Any], ...]:
+        """The kernels that this one calls."""
+        found = (value for _, value in _kernel_cache.read_globals(self._function))
+        return tuple(value for value in found if isinstance(value, Kernel))
+
+    @property
     def ready(self) -> bool:
         """Whether nothing has to be compiled for a call; decided without numba."""
-        return self._machine is not None or _kernel_cache.stored(self.stored_name, self.kernel_key)
+        return self._machine is not None or _kernel_cache.stored(self._home())
+
+    def _home(self, form: str = "") -> Path:
+        return _kernel_cache.home(f"{self.stored_name}{form}", self.kernel_key)
 
     def load(self) -> Any:
         """Numba's dispatcher, its code read from the cache, or compiled into it."""
@@ -63,67 +81,31 @@ class Kernel(Generic[Given, Result]):
                 for tell in waits:
                     tell()
             with _without_blas():
-                import numba
+                from companion._machine_code import machine_code
 
-                # Said in either case: numba hands it down to what it has to compile meanwhile.
-                how: dict[str, Any] = {"_nrt": self._counted}
-                machine: Any = numba.njit(**how)(self._function)
-                if self._cached:
-                    machine._cache = _kept(self)
-                machine.compile(self._signature)
-                machine.disable_compile()
-                self._machine = machine
+                home = self._home() if self._cached else None
+                self._machine = machine_code(self._function, self._signature, self._counted, home)
         return self._machine
+
+    def part(self) -> Any:
+        """Numba's dispatcher for compiling callers, read from the cache, or compiled into it."""
+        if self._part is None:
+            with _without_blas():
+                from companion._machine_code import part
+
+                home = self._home(".part") if self._cached else None
+                self._part = part(self._function, self._signature, self._counted, home)
+        return self._part
 
     def __call__(self, *args: Given.args, **kwargs: Given.kwargs) -> Result:
         result: Result = (self._machine or self.load())(*args, **kwargs)
         return result
 
     def __getattr__(self, name: str) -> Any:
-        # `_numba_type_` among others: what a kernel that calls this one is compiled with.
-        if name in ("_machine", "_function"):
+        # What numba asks of a name in a kernel that it compiles: `_numba_type_` and others.
+        if name in ("_machine", "_part", "_function"):
             raise AttributeError(name)
-        return getattr(self.load(), name)
-
-
-def _kept(kernel: Kernel[Any, Any]) -> Any:
-    """Numba's own cache of machine code, told where and by what key instead of by a time stamp."""
-    from numba.core import caching
-
-    home = _kernel_cache.home(kernel.stored_name, kernel.kernel_key)
-
-    class Place:
-        _py_file = kernel.__wrapped__.__code__.co_filename
-
-        def get_cache_path(self) -> str:
-            return str(home)
-
-        def ensure_cache_path(self) -> None:
-            home.mkdir(parents=True, exist_ok=True)
-            _kernel_cache.forget_others(kernel.stored_name, kernel.kernel_key)
-
-        def get_source_stamp(self) -> str:
-            return kernel.kernel_key
-
-        def get_disambiguator(self) -> str:
-            return "1"
-
-        @classmethod
-        def from_function(cls, *_: object) -> Place:
-            return cls()
-
-    class Kept(caching.CompileResultCacheImpl):
-        _locator_classes: Any = (Place,)
-
-    class Cache(caching.FunctionCache):
-        _impl_class = Kept
-
-        def _guard_against_spurious_io_errors(self) -> Any:
-            # A folder that cannot be written: compiled anew each time.
-            return suppress(OSError)
-
-    made_for: Any = Cache
-    return made_for(kernel.__wrapped__)
+        return getattr(self.part(), name)
 
 
 @contextmanager
@@ -144,17 +126,19 @@ def _without_blas() -> Iterator[None]:
 
 
 def njit(
-    signature: str, *, cache: bool, counted: bool = True
+    signature: str, *, cache: bool, counted: bool = True, entry: bool = False
 ) -> Callable[[Callable[Given, Result]], Kernel[Given, Result]]:
     """As ``numba.njit`` with a signature, loaded when first needed.
 
     ``counted`` false, for what runs at every sample: nobody counts who holds an array. Numba counts
     with atomic instructions at every view, slice and argument, which were a third of the walk; a
-    kernel without it can make no array of its own, and gets its scratch handed in.
+    kernel without it can make no array of its own, and gets its scratch handed in. ``entry``: our
+    program calls it from Python too, and so it is compiled for that beforehand; the others only
+    where somebody, such as a test, does it all the same.
     """
 
     def wrapped(function: Callable[Given, Result]) -> Kernel[Given, Result]:
-        kernel = Kernel(function, signature, cache, counted)
+        kernel = Kernel(function, signature, cached=cache, counted=counted, entry=entry)
         made.append(kernel)
         return kernel
 

@@ -25,6 +25,8 @@ from typing import Any
 import numpy as np
 
 _PACKAGES = ("companion", "drivers", "replay", "tests")
+_FORM = "parts"
+"""How kernels are compiled: to be changed with :mod:`companion._machine_code`."""
 _PLAIN = (bool, int, float, complex, str, bytes, type(None))
 _PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")
 
@@ -39,13 +41,13 @@ def key(function: Callable[..., Any], signature: str) -> str:
     constants = [c for c in code.co_consts if c != function.__doc__]
     for part in (signature, constants, code.co_varnames, code.co_names, function.__defaults__):
         said.update(repr(part).encode())
-    for name, content in _read_globals(function):
-        said.update(f"{name}={content};".encode())
+    for name, value in read_globals(function):
+        said.update(f"{name}={_content(value)};".encode())
     return said.hexdigest()[:20]
 
 
-def _read_globals(function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
-    """Name and content of each global that the code may read, those within our modules too."""
+def read_globals(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    """Name and value of each global that the code may read, those within our modules too."""
     names = function.__code__.co_names
     for name in names:
         if name not in function.__globals__:
@@ -54,9 +56,9 @@ def _read_globals(function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
         if isinstance(value, ModuleType) and value.__name__.partition(".")[0] in _PACKAGES:
             for inner in names:
                 if hasattr(value, inner):
-                    yield f"{name}.{inner}", _content(getattr(value, inner))
+                    yield f"{name}.{inner}", getattr(value, inner)
         else:
-            yield name, _content(value)
+            yield name, value
 
 
 def _content(value: Any) -> str:
@@ -83,7 +85,9 @@ def folder() -> Path:
     Under ``NUMBA_CACHE_DIR`` where it is set, else in ``__pycache__`` beside this file where that
     can be written (a virtual environment, a checkout), else in the user's cache directory.
     """
-    machine = hashlib.sha256(f"{sys.version} {_numba()} {_processor()}".encode()).hexdigest()[:16]
+    machine = hashlib.sha256(
+        f"{sys.version} {_numba()} {_processor()} {_FORM}".encode()
+    ).hexdigest()[:16]
     return _base() / f"kernels-{machine}"
 
 
@@ -123,19 +127,20 @@ def home(name: str, kernel_key: str) -> Path:
     return folder() / f"{name}-{kernel_key}"
 
 
-def stored(name: str, kernel_key: str) -> bool:
-    """Whether that machine code is there."""
+def stored(place: Path) -> bool:
+    """Whether machine code is in that folder."""
     try:
-        return any(one.suffix == ".nbc" for one in home(name, kernel_key).iterdir())
+        return any(one.suffix == ".nbc" for one in place.iterdir())
     except OSError:
         return False
 
 
-def forget_others(name: str, kernel_key: str) -> None:
-    """Remove what the kernel was before; not from a folder that may be shared."""
+def forget_others(place: Path) -> None:
+    """Remove what the kernel of that folder was before; not from one that may be shared."""
     if "NUMBA_CACHE_DIR" in os.environ:
         return
-    for old in folder().glob(f"{name}-*"):
-        if old.name != f"{name}-{kernel_key}":
+    name = place.name.rpartition("-")[0]
+    for old in place.parent.glob(f"{name}-*"):
+        if old != place:
             with suppress(OSError):
                 shutil.rmtree(old)

@@ -138,6 +138,7 @@ def _frame(buf: U8, at: Int, end: Int, out: U8, used: Int, row: I64) -> Int:
 @njit(
     "Tuple((i8, i8, i8))(Array(u1, 1, 'C', readonly=True), i8[:, ::1], u1[::1])",
     cache=True,
+    entry=True,
 )
 def _parse(buf: U8, rows: I64, out: U8) -> tuple[Int, Int, Int]:
     """All lines of ``buf``: frames found, bytes written to ``out``, lines that are none."""

@@ -50,6 +50,7 @@ _WIRE: dict[str, tuple[str, float]] = {
 @njit(
     "UniTuple(i8, 2)(Array(u1, 1, 'C', readonly=True), i8, i8[::1], u1[::1], i8[::1], i8[::1])",
     cache=True,
+    entry=True,
 )
 def _scan(
     buf: U8, start: int, lengths: I64, kinds: U8, offsets: I64, counts: I64
@@ -84,7 +85,7 @@ def _scan(
     return pos, found
 
 
-@njit("void(Array(u1, 1, 'C', readonly=True), i8[::1], u1[:, ::1])", cache=True)
+@njit("void(Array(u1, 1, 'C', readonly=True), i8[::1], u1[:, ::1])", cache=True, entry=True)
 def _gather(buf: U8, offsets: I64, out: NDArray[np.uint8]) -> None:
     """Copy the record at each offset into its row."""
     for i in range(offsets.shape[0]):

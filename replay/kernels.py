@@ -90,22 +90,36 @@ def parts_of(config: Config) -> tuple[str, ...]:
 
 
 def compiled(*parts: str) -> bool:
-    """Whether the kernels of these parts are all there."""
-    return all(kernel.ready for kernel in kernels_of(parts))
+    """Whether what Python calls of these parts is all there."""
+    return all(kernel.ready for kernel in kernels_of(parts) if kernel.entry)
 
 
 def load(parts: Iterable[str] = PARTS, progress: Callable[[float], None] | None = None) -> float:
     """Compile what is missing of ``parts``; returns the CPU time it took [s].
 
-    ``progress`` is told the fraction of the missing kernels done before each of them.
+    ``progress`` is told the fraction done before each kernel that has to be compiled.
     """
     begin = time.process_time()
-    missing = [kernel for kernel in kernels_of(parts) if not kernel.ready]
-    for done, kernel in enumerate(missing):
+    missing = [kernel for kernel in kernels_of(parts) if kernel.entry and not kernel.ready]
+    called = _called_by(missing)
+    steps = [*(kernel.part for kernel in called), *(kernel.load for kernel in missing)]
+    for done, step in enumerate(steps):
         if progress is not None:
-            progress(done / len(missing))
-        kernel.load()
+            progress(done / len(steps))
+        step()
     return time.process_time() - begin
+
+
+def _called_by(kernels: Iterable[_jit.Kernel[Any, Any]]) -> list[_jit.Kernel[Any, Any]]:
+    """The kernels that these call, directly or not; called ones before their callers."""
+    found: set[str] = set()
+    ahead = [called for kernel in kernels for called in kernel.calls]
+    while ahead:
+        kernel = ahead.pop()
+        if kernel.stored_name not in found:
+            found.add(kernel.stored_name)
+            ahead += kernel.calls
+    return [kernel for kernel in _jit.made if kernel.stored_name in found]
 
 
 def _load_side_by_side(parts: tuple[str, ...]) -> float:

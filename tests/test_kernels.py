@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -34,7 +36,7 @@ def _scaled(x: float) -> float:
 
 def kernel_of(function: Callable[..., float]) -> _jit.Kernel[..., float]:
     """As where a module is imported: nothing loaded."""
-    return _jit.Kernel(function, SIGNATURE, True, True)
+    return _jit.Kernel(function, SIGNATURE, entry=True)
 
 
 called = kernel_of(_called)
@@ -95,6 +97,93 @@ def test_machine_code_is_kept_and_found_by_another(empty: Path) -> None:
     assert [(path, path.stat().st_mtime_ns) for path in empty.rglob("*.nbc")] == before
 
 
+def _refused(x: float) -> float:
+    if x < 0.0:
+        raise ValueError("below zero")
+    return x
+
+
+def _asks(x: float) -> float:
+    return float(refused(x)) + float(called(x))
+
+
+refused = _jit.Kernel(_refused, SIGNATURE)
+
+
+def test_a_part_is_compiled_into_its_caller_and_kept(empty: Path) -> None:
+    """The caller works from fresh parts, from parts that were kept, and when kept itself."""
+    refused._part = called._part = None
+    fresh = kernel_of(_asks)
+    assert fresh(3.0) == 9.0
+    with pytest.raises(ValueError, match="below zero"):
+        fresh(-1.0)
+    stored = sorted(path.parent.name.rpartition("-")[0] for path in empty.rglob("*.nbc"))
+    mine = f"{__name__}."
+    assert stored == [f"{mine}_asks", f"{mine}_called.part", f"{mine}_refused.part"]
+    assert not refused.ready  # a part is not for Python; it can be made so
+    assert kernel_of(_asks)(3.0) == 9.0
+    shutil.rmtree(next(path.parent for path in empty.rglob("*_asks*.nbc")))
+    refused._part = called._part = None
+    again = kernel_of(_asks)
+    assert again(3.0) == 9.0
+    with pytest.raises(ValueError, match="below zero"):
+        again(-1.0)
+    assert refused(2.0) == 2.0
+
+
+def _kernels_in(tree: ast.Module) -> dict[str, bool]:
+    """Kernels of a module by name, and whether each is marked as called from Python."""
+    found = {}
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef):
+            for mark in node.decorator_list:
+                if isinstance(mark, ast.Call) and ast.unparse(mark.func) == "njit":
+                    found[node.name] = any(word.arg == "entry" for word in mark.keywords)
+    return found
+
+
+def _outside_kernels(node: ast.AST, own: dict[str, bool]) -> Iterator[ast.AST]:
+    for child in ast.iter_child_nodes(node):
+        if not (isinstance(child, ast.FunctionDef) and child.name in own):
+            yield child
+            yield from _outside_kernels(child, own)
+
+
+def test_what_python_calls_is_compiled_before_it_does(root: Path) -> None:
+    """Each kernel that plain code names is marked as an entry, and no other is."""
+    trees = {
+        ".".join(path.relative_to(root).with_suffix("").parts): ast.parse(path.read_bytes())
+        for package in ("companion", "drivers", "replay")
+        for path in (root / package).rglob("*.py")
+        if path.parent.name != "proto"
+    }
+    of_module = {module: _kernels_in(tree) for module, tree in trees.items()}
+    of_module = {module: own for module, own in of_module.items() if own}
+    named: set[tuple[str, str]] = set()
+    for module, tree in trees.items():
+        own = of_module.get(module, {})
+        kernel_names = {name: (module, name) for name in own}
+        modules: dict[str, str] = {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                for alias in node.names:
+                    bound = alias.asname or alias.name
+                    if alias.name in of_module.get(node.module, {}):
+                        kernel_names[bound] = (node.module, alias.name)
+                    elif f"{node.module}.{alias.name}" in of_module:
+                        modules[bound] = f"{node.module}.{alias.name}"
+        for node in _outside_kernels(tree, own):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+                if node.id in kernel_names:
+                    named.add(kernel_names[node.id])
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                inside = modules.get(node.value.id, "")
+                if node.attr in of_module.get(inside, {}):
+                    named.add((inside, node.attr))
+    marked = {(module, name) for module, own in of_module.items() for name in own if own[name]}
+    assert marked == {one for one in named if one[0] != "replay.bench.floor"}
+
+
 def test_a_folder_that_cannot_be_written_compiles_and_goes_on(empty: Path) -> None:
     empty.write_text("a file where the folder would be")
     assert kernel_of(_called)(3.0) == 6.0
@@ -108,7 +197,7 @@ def test_only_the_newest_stays_in_a_folder_of_our_own(
     monkeypatch.setattr(cache, "folder", lambda: tmp_path)
     for name in ("a.walk-1", "a.walk-2", "a.walks-1", "b.walk-1"):
         (tmp_path / name).mkdir()
-    cache.forget_others("a.walk", "2")
+    cache.forget_others(tmp_path / "a.walk-2")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.walk-2", "a.walks-1", "b.walk-1"]
 
 
@@ -198,9 +287,9 @@ def counted(self):
     loaded.append(self.__name__)
     return load(self)
 init = Kernel.__init__
-def noted(self, *given):
+def noted(self, *given, **said):
     made.append(self)
-    init(self, *given)
+    init(self, *given, **said)
 Kernel.load, Kernel.__init__ = counted, noted
 from companion.config import load as load_config
 from companion.runtime.start import warm_up

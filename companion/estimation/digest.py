@@ -22,7 +22,7 @@ _ODD = np.uint64(0x9E3779B97F4A7C15)  # 2⁶⁴ over the golden ratio, as in Fib
 _LEFT, _RIGHT = np.uint64(29), np.uint64(35)
 
 
-@njit("void(u8[::1], u8[::1], u8[:, ::1])", cache=True)
+@njit("void(u8[::1], u8[::1], u8[:, ::1])", cache=True, entry=True)
 def absorb(lanes: U64, t: U64, rows: U64) -> None:
     """Take in rows (N, width), each behind its time ``t`` (N,), however they come in calls."""
     width = rows.shape[1]

@@ -126,7 +126,7 @@ GAP_VAR = 4.0
 LONGEST_STEP_S = 5.0
 
 
-@njit("void(f8[::1], i8[::1])", cache=True, counted=False)
+@njit("void(f8[::1], i8[::1])", cache=True, entry=True, counted=False)
 def forget(s: F64, k: I64) -> None:
     """Know nothing of the source: position has been taken from it anew."""
     for i in range(2 * SOURCE_SIZE):
@@ -143,7 +143,7 @@ def slow_variance(lay: I64, par: F64, part: int, r: float) -> float:
     return float(par[GNSS_PSD + part] * par[GNSS_TAU] * 0.5)
 
 
-@njit("f8(f8[::1], i8[::1], i8)", cache=True, counted=False)
+@njit("f8(f8[::1], i8[::1], i8)", cache=True, entry=True, counted=False)
 def position_variance(s: F64, lay: I64, part: int) -> float:
     """Variance of position an axis, of the horizontal or the vertical part [m²]."""
     n = lay[L_N]
@@ -152,7 +152,7 @@ def position_variance(s: F64, lay: I64, part: int) -> float:
     return float(0.5 * (s[P_OFFSET] + s[P_OFFSET + n + 1]))
 
 
-@njit("b1(f8[::1], i8[::1], i8)", cache=True, counted=False)
+@njit("b1(f8[::1], i8[::1], i8)", cache=True, entry=True, counted=False)
 def witness(s: F64, k: I64, t: int) -> bool:
     """Whether aided velocity vouches for the shadow."""
     return bool(t - k[T_VELOCITY_AID] <= WITNESS_NS and s[VELOCITY_FIT] < WITNESS_FIT)

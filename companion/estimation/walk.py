@@ -639,6 +639,7 @@ def _walk(
     "f8[:, ::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1],"
     f"{RECORDER})",
     cache=True,
+    entry=True,
 )
 def walk(
     s: F64,

@@ -62,6 +62,7 @@ def range_rate(sat: F64, u: F64, x: F64, v: F64) -> float:
 @njit(
     "i8(f8[:, ::1], i8[::1], f8, f8, f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[:, ::1],f8[:, ::1])",
     cache=True,
+    entry=True,
 )
 def correct(
     ephemerides: F64,
@@ -136,7 +137,7 @@ def correct(
     return count
 
 
-@njit("f8(f8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
+@njit("f8(f8[::1], f8[::1], f8[::1], f8[::1])", cache=True, entry=True)
 def expected_range(sat: F64, x: F64, here: F64, u: F64) -> float:
     """Range [m] to a receiver at ECEF ``x``, geodetic ``here``, with Sagnac and troposphere."""
     r = line_of_sight(sat, x[0], x[1], x[2], u)

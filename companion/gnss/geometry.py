@@ -15,7 +15,7 @@ NO_DOP = 1e3
 GDOP, PDOP, HDOP, VDOP, TDOP = range(5)
 
 
-@njit("void(f8, f8, f8, f8[::1])", cache=True)
+@njit("void(f8, f8, f8, f8[::1])", cache=True, entry=True)
 def geodetic(x: float, y: float, z: float, out: F64) -> None:
     """Latitude, longitude [rad], height [m] of an ECEF point into ``out`` (3,).
 
@@ -34,7 +34,7 @@ def geodetic(x: float, y: float, z: float, out: F64) -> None:
     out[2] = p * c + z * s - n * (1.0 - E2 * s * s)
 
 
-@njit("void(f8, f8, f8[:, ::1])", cache=True)
+@njit("void(f8, f8, f8[:, ::1])", cache=True, entry=True)
 def ned_axes(lat: float, lon: float, R: F64) -> None:
     """``R`` (3, 3): rows are north, east and down in ECEF, C_ne."""
     sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
@@ -71,7 +71,7 @@ def invert_spd(M: F64, n: int) -> bool:
     return True
 
 
-@njit("void(f8[:, ::1], i8[::1], i8, f8[::1])", cache=True)
+@njit("void(f8[:, ::1], i8[::1], i8, f8[::1])", cache=True, entry=True)
 def dilution(G: F64, systems: I64, m: int, out: F64) -> None:
     """GDOP, PDOP, HDOP, VDOP, TDOP into ``out`` (5,); :data:`NO_DOP` where there is none.
 
@@ -117,7 +117,7 @@ def lines_of_sight(sky: F64, lines: F64) -> None:
         lines[s, 2] = -math.sin(sky[s, 1])
 
 
-@njit("f8(f8[:, ::1], i8[::1], i8, i8, i8[::1])", cache=True)
+@njit("f8(f8[:, ::1], i8[::1], i8, i8, i8[::1])", cache=True, entry=True)
 def best_set(G: F64, systems: I64, m: int, count: int, best: I64) -> float:
     """The ``count`` of ``m`` satellites with the smallest GDOP, over all combinations.
 

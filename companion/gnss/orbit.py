@@ -40,7 +40,7 @@ def geostationary(sat: int) -> bool:
     return sat // 100 - 1 == BEIDOU and (prn <= 5 or prn >= 59)
 
 
-@njit("f8(f8, f8, f8, f8)", cache=True)
+@njit("f8(f8, f8, f8, f8)", cache=True, entry=True)
 def since(week: float, second: float, week_0: float, second_0: float) -> float:
     """Seconds from one GPS time to another, across the end of a week."""
     return float((week - week_0) * 604800.0 + (second - second_0))
@@ -121,7 +121,7 @@ def clock_polynomial(e: F64, week: float, second: float) -> float:
     return float(e[E_AF0] + t * (e[E_AF1] + t * e[E_AF2]))
 
 
-@njit("void(f8[::1], f8, f8, f8[::1])", cache=True)
+@njit("void(f8[::1], f8, f8, f8[::1])", cache=True, entry=True)
 def satellite_at(e: F64, week: float, second: float, out: F64) -> None:
     """Fill ``out`` (8,): position [m], velocity [m/s], clock [m], clock rate [m/s] at a GPS time.
 

@@ -184,7 +184,7 @@ def least_squares(
     return SOLVED
 
 
-@njit("i8(f8[:, ::1], i8, f8[::1], f8[::1], f8[::1], i8[::1])", cache=True)
+@njit("i8(f8[:, ::1], i8, f8[::1], f8[::1], f8[::1], i8[::1])", cache=True, entry=True)
 def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> int:
     """Solve one epoch of ``m`` corrected satellites, leaving out those at fault.
 

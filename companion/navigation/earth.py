@@ -30,7 +30,7 @@ SOMIGLIANA_K = 1.931852652458e-3
 GRAVITY_M = RATE * RATE * A * A * B / GM
 
 
-@njit("UniTuple(f8, 2)(f8)", cache=True)
+@njit("UniTuple(f8, 2)(f8)", cache=True, entry=True)
 def radii(lat: float) -> tuple[float, float]:
     """Meridian and prime-vertical radii of curvature (M, N) [m] at latitude ``lat`` [rad].
 
@@ -53,7 +53,7 @@ def gravity_at(sin2_lat: float, height: float) -> float:
     return g0 * (1.0 - 2.0 * up * (1.0 + F + GRAVITY_M - 2.0 * F * sin2_lat) + 3.0 * up * up)
 
 
-@njit("f8(f8, f8)", cache=True)
+@njit("f8(f8, f8)", cache=True, entry=True)
 def gravity(lat: float, height: float) -> float:
     """Normal gravity, positive down [m/s²], at ``lat`` [rad] and ``height`` [m]."""
     return gravity_at(math.sin(lat) ** 2, height)

@@ -58,7 +58,7 @@ COLUMNS = 8
 """Block (r, c) of Φ is ``B[COLUMNS * r + c]``; columns p, v, φ, b_a, b_g, s_a, s_g, none."""
 
 
-@njit("void(f8[::1], i8[::1], f8[::1])", cache=True, counted=False)
+@njit("void(f8[::1], i8[::1], f8[::1])", cache=True, entry=True, counted=False)
 def box_plus(s: F64, lay: I64, dx: F64) -> None:
     """Move the error ``dx`` (n,) into the nominal state in place: x ⊞ δx."""
     m, n = radii(s[LAT])

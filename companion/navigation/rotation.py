@@ -13,7 +13,7 @@ from companion._jit import njit
 from companion.types import F64
 
 
-@njit("void(f8[::1], f8[:, ::1])", cache=True, counted=False)
+@njit("void(f8[::1], f8[:, ::1])", cache=True, entry=True, counted=False)
 def quat_to_matrix(q: F64, C: F64) -> None:
     """Fill ``C`` (3, 3) with the rotation of unit quaternion ``q`` (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -53,7 +53,7 @@ def rotate_body(q: F64, ax: float, ay: float, az: float) -> None:
     q[0], q[1], q[2], q[3] = w1 * k, x1 * k, y1 * k, z1 * k
 
 
-@njit("void(f8[::1], f8, f8, f8)", cache=True, counted=False)
+@njit("void(f8[::1], f8, f8, f8)", cache=True, entry=True, counted=False)
 def rotate_nav(q: F64, ax: float, ay: float, az: float) -> None:
     """``q`` ← exp(a/2) ⊗ q in place: a rotation vector a [rad] resolved in n."""
     t2 = ax * ax + ay * ay + az * az

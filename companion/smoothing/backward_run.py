@@ -61,6 +61,7 @@ class Backward:
     "f8[:, ::1], i8[::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], f8[:, ::1],"
     f"f4[:, ::1], {RECORDER})",
     cache=True,
+    entry=True,
 )
 def walk_to_stops(
     s: F64,

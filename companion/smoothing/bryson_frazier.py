@@ -89,7 +89,7 @@ def turn(x: F64, g: F64) -> None:
     x[ATT + 2] = c - v * a + u * b
 
 
-@njit(f"void({_CHUNK}, f8[::1], f8[:, ::1])", cache=True, counted=False)
+@njit(f"void({_CHUNK}, f8[::1], f8[:, ::1])", cache=True, entry=True, counted=False)
 def backward(
     kinds: I8,
     coarse: F32,
@@ -145,7 +145,7 @@ def backward(
             c -= triangle
 
 
-@njit(f"void({_CHUNK}, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True, counted=False)
+@njit(f"void({_CHUNK}, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True, entry=True, counted=False)
 def forward(
     kinds: I8,
     coarse: F32,
@@ -199,7 +199,7 @@ def forward(
             c += triangle
 
 
-@njit(f"void({_CHUNK}, f8[:, ::1], f8[:, ::1])", cache=True, counted=False)
+@njit(f"void({_CHUNK}, f8[:, ::1], f8[:, ::1])", cache=True, entry=True, counted=False)
 def backward_covariance(
     kinds: I8,
     coarse: F32,

@@ -17,7 +17,7 @@ NOMINAL = w.O_COV
 """Columns of an output row that a smoother corrects: all before the covariance."""
 
 
-@njit("void(f8[:, ::1], f8[:, ::1], i8[::1])", cache=True)
+@njit("void(f8[:, ::1], f8[:, ::1], i8[::1])", cache=True, entry=True)
 def correct(rows: F64, dx: F64, lay: I64) -> None:
     """``rows`` (N, ≥ 16), by the ``O_`` columns of walk.py, ← rows ⊞ ``dx`` (N, n), in place."""
     s = np.zeros(lo.DX)

@@ -96,6 +96,7 @@ def as_filtered(kinds: I8, fine: F64, lay: I64, a: I64, b: I64, t: I64, rows: F6
     "i8(i1[::1], f4[::1], f8[::1], i8[::1], i8, b1, i8, i8[:, ::1], i8[:, ::1], i8[::1], i8[::1],"
     "i8[::1], f8[::1], f8[::1], f8[::1], i8[::1], i8[::1], f8[:, ::1], b1[::1])",
     cache=True,
+    entry=True,
 )
 def give_out(
     kinds: I8,

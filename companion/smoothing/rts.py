@@ -101,7 +101,7 @@ def last_of_run(kinds: I8, i: int) -> bool:
     return bool(i + 1 == kinds.shape[0] or kinds[i + 1] != STEP)
 
 
-@njit("i8(i1[::1])", cache=True)
+@njit("i8(i1[::1])", cache=True, entry=True)
 def count_runs(kinds: I8) -> int:
     """How many runs of steps there are."""
     count = 0
@@ -148,6 +148,7 @@ def _carry(B: F64, lay: I64, T: float, d: F64, P: F64, W: F64) -> None:
     "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1])",
     cache=True,
+    entry=True,
 )
 def covariances(
     kinds: I8,
@@ -300,6 +301,7 @@ def _smooth_covariance(A: F64, D: F64, P: F64, Ps: F64, W: F64, n: int) -> None:
     "b1(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
     "f8[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
     cache=True,
+    entry=True,
 )
 def backward(
     kinds: I8,

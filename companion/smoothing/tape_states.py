@@ -30,6 +30,7 @@ from companion.types import F64, I64
 @njit(
     "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f4[:, ::1])",
     cache=True,
+    entry=True,
 )
 def _read(
     kinds: I8,

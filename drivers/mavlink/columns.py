@@ -16,6 +16,7 @@ from drivers.mavlink.framer import U8, FrameIndex
     "void(Array(u1, 1, 'C', readonly=True), Array(i8, 1, 'C', readonly=True),"
     " Array(u1, 1, 'C', readonly=True), u1[:, ::1])",
     cache=True,
+    entry=True,
 )
 def _gather(buf: U8, payload: NDArray[np.int64], length: U8, out: NDArray[np.uint8]) -> None:
     """Copy each payload to the front of its zeroed row, cut at the row's width."""

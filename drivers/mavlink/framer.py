@@ -43,7 +43,7 @@ STAMP_BYTES = 8
 """A tlog has 8 bytes, big-endian microseconds of Unix time, before each frame."""
 
 
-@njit("i8(Array(u1, 1, 'C', readonly=True), i8, i8, i8)", cache=True)
+@njit("i8(Array(u1, 1, 'C', readonly=True), i8, i8, i8)", cache=True, entry=True)
 def checksum(buf: U8, start: Int, end: Int, seed: Int) -> Int:
     """CRC-16/MCRF4XX of ``buf[start:end]`` followed by the byte ``seed``: a frame's checksum.
 
@@ -125,6 +125,7 @@ def _in_step(buf: U8, at: Int, final: bool) -> bool:
     "UniTuple(i8, 2)(Array(u1, 1, 'C', readonly=True), i8, b1, b1, i8,"
     " Array(i2, 2, 'C', readonly=True), i8[:, ::1], i8[::1])",
     cache=True,
+    entry=True,
 )
 def _scan(
     buf: U8,

@@ -109,6 +109,7 @@ def _true_range(e: F64, week: float, second: float, x: F64, out: F64, turned: F6
     "void(f8[:, ::1], f8, f8[::1], f8[:, ::1], f8[:, ::1], f8[::1], f8, f8, f8[:, ::1],"
     "f8[:, ::1], f8[:, ::1])",
     cache=True,
+    entry=True,
 )
 def _measure(
     table: F64, week: float, seconds: F64, x: F64, clock: F64, iono: F64, mask: float, air: float,

@@ -33,6 +33,7 @@ _CHUNK = 65536
 @njit(
     "void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])",
     cache=True,
+    entry=True,
 )
 def _ideal_imu(
     llh: F64, vel_n: F64, acc_n: F64, rpy: F64, drpy: F64, gyro_b: F64, accel_b: F64

@@ -72,7 +72,7 @@ WIDTH = 20
 GYRO, ACCEL = 11, 12  # as types.Channel
 
 
-@njit("void(f8[::1], i8[::1], f8[::1])", cache=True)
+@njit("void(f8[::1], i8[::1], f8[::1])", cache=True, entry=True)
 def box_plus(s: F64, lay: I64, dx: F64) -> None:
     """Move the error ``dx`` (n,) into the nominal state in place: x ⊞ δx.
 

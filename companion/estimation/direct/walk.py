@@ -95,6 +95,7 @@ def snapshot(s: F64, k: I64, ipar: I64, snaps: F64, snaps_k: I64) -> None:
     "i8[::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1],"
     "i8[:, ::1], i8[:, ::1], i8[::1])",
     cache=True,
+    entry=True,
 )
 def walk(
     s: F64,
