@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
+from companion._jit import njit
 from companion.config import DEG
-from companion.estimation import walk as w
 from companion.estimation.phases import Check, Filter, Phase, Setup
 from companion.estimation.recording import Tape
 from companion.estimation.source_faults import forget
+from companion.estimation.walk import O_ACCEL_BIAS, O_COV, O_Q, O_VEL
 from companion.navigation import layout as lo
 from companion.navigation.rotation import rotate_nav, yaw_of
 from companion.types import F64, I64, NS, Event, Mode
@@ -19,7 +20,6 @@ OVERLAP = 2.0
 """Neighbouring innovations share errors: half of their evidence on the heading is repetition."""
 NEGLIGIBLE = 1e-6
 """Weight below which a hypothesis adds nothing to what is published."""
-_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def mixture(log_likelihood: F64, misfit: F64, yaw: F64, var: F64) -> tuple[int, float, F64]:
@@ -41,7 +41,7 @@ def mixture(log_likelihood: F64, misfit: F64, yaw: F64, var: F64) -> tuple[int, 
 
 def widen_heading(phase: Phase, rows: F64) -> None:
     """Publish in output ``rows`` the bank's heading uncertainty, not one hypothesis' own."""
-    var = rows[:, w.O_COV + 2 * 6 + 5]
+    var = rows[:, O_COV + 2 * 6 + 5]
     np.maximum(var, phase.checks[-1].heading_sd ** 2, out=var)
 
 
@@ -55,44 +55,62 @@ def widen_rest(phase: Phase, published: F64, hypotheses: list[F64]) -> None:
     """
     check = phase.checks[-1]
     n = min(len(rows) for rows in (published, *hypotheses))
-    own = published[:n]
-    cov = own[:, w.O_COV : w.O_COV + 30].reshape(-1, 5, 6)
     for weight, rows in zip(check.weights, hypotheses, strict=True):
-        if weight < NEGLIGIBLE:
-            continue
-        for block, apart in enumerate(_apart(own, rows[:n]), 1):
-            for at, (i, j) in enumerate(_TRIANGLE):
-                cov[:, block, at] += weight * apart[i] * apart[j]
-    own[:, w.O_COV : w.O_COV + 30] = cov.reshape(-1, 30)
+        if weight >= NEGLIGIBLE:
+            _spread(published, rows, n, weight)
 
 
-def _apart(own: F64, other: F64) -> tuple[F64, F64, F64, F64]:
-    """What two filters differ by in velocity, level (n axes, 0 about down) and biases, (3, N)."""
-    here, there = own.T, other.T
-    down, its_down = _down(here[w.O_Q : w.O_Q + 4]), _down(there[w.O_Q : w.O_Q + 4])
-    x = down[1] * its_down[2] - down[2] * its_down[1]
-    y = down[2] * its_down[0] - down[0] * its_down[2]
-    z = down[0] * its_down[1] - down[1] * its_down[0]
-    q0, q1, q2, q3 = here[w.O_Q : w.O_Q + 4]
+@njit("void(f8[:, ::1], f8[:, ::1], i8, f8)", cache=True, entry=True)
+def _spread(own: F64, other: F64, count: int, weight: float) -> None:
+    """Add ``weight`` d dᵀ to the blocks of the first ``count`` rows of ``own``.
+
+    d is what rows of another filter differ by: velocity, level (n axes, 0 about down), biases.
+    """
+    for row in range(count):
+        here, there = own[row], other[row]
+        for block in range(1, 5):
+            if block == 2:
+                x, y = _tilt(here, there)
+                z = 0.0
+            else:
+                at = O_VEL if block == 1 else O_ACCEL_BIAS + 3 * (block - 3)
+                x = there[at] - here[at]
+                y = there[at + 1] - here[at + 1]
+                z = there[at + 2] - here[at + 2]
+            at = O_COV + 6 * block
+            here[at] += weight * x * x
+            here[at + 1] += weight * x * y
+            here[at + 2] += weight * x * z
+            here[at + 3] += weight * y * y
+            here[at + 4] += weight * y * z
+            here[at + 5] += weight * z * z
+
+
+@njit("UniTuple(f8, 2)(f8[::1], f8[::1])", cache=True)
+def _tilt(here: F64, there: F64) -> tuple[float, float]:
+    """The small rotation about north and east between the levels of two output rows [rad]."""
+    down0, down1, down2 = _down(here)
+    its0, its1, its2 = _down(there)
+    x = down1 * its2 - down2 * its1
+    y = down2 * its0 - down0 * its2
+    z = down0 * its1 - down1 * its0
+    q0, q1, q2, q3 = here[O_Q], here[O_Q + 1], here[O_Q + 2], here[O_Q + 3]
     # The first two rows of C_nb turn the small rotation from body axes.
     north = (q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3) * x
     north += 2 * (q1 * q2 - q0 * q3) * y + 2 * (q1 * q3 + q0 * q2) * z
     east = 2 * (q1 * q2 + q0 * q3) * x + (q0 * q0 - q1 * q1 + q2 * q2 - q3 * q3) * y
     east += 2 * (q2 * q3 - q0 * q1) * z
-    velocity, accel, gyro = (
-        there[at : at + 3] - here[at : at + 3] for at in (w.O_VEL, w.O_ACCEL_BIAS, w.O_GYRO_BIAS)
-    )
-    return velocity, np.stack([north, east, np.zeros_like(north)]), accel, gyro
+    return north, east
 
 
-def _down(q: F64) -> F64:
-    """The direction of gravity in body axes (3, N) of attitudes ``q`` (4, N)."""
-    return np.stack(
-        [
-            2 * (q[1] * q[3] - q[0] * q[2]),
-            2 * (q[2] * q[3] + q[0] * q[1]),
-            q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3],
-        ]
+@njit("UniTuple(f8, 3)(f8[::1])", cache=True)
+def _down(row: F64) -> tuple[float, float, float]:
+    """The direction of gravity in body axes of an output row's attitude."""
+    q0, q1, q2, q3 = row[O_Q], row[O_Q + 1], row[O_Q + 2], row[O_Q + 3]
+    return (
+        2 * (q1 * q3 - q0 * q2),
+        2 * (q2 * q3 + q0 * q1),
+        q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3,
     )
 
 

@@ -108,7 +108,7 @@ def dilution(G: F64, systems: I64, m: int, out: F64) -> None:
     out[HDOP], out[VDOP], out[TDOP] = math.sqrt(horizontal), math.sqrt(M[2, 2]), math.sqrt(time)
 
 
-@njit("void(f8[:, ::1], f8[:, ::1])", cache=True)
+@njit("void(f8[:, ::1], f8[:, ::1])", cache=True, entry=True)
 def lines_of_sight(sky: F64, lines: F64) -> None:
     """``lines`` (M, 3): unit vectors towards azimuth and elevation ``sky`` (M, 2) [rad], NED."""
     for s in range(sky.shape[0]):

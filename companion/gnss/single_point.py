@@ -236,7 +236,7 @@ def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> i
                     used[s] = 0
 
 
-@njit("void(f8[:, ::1], f8[:, ::1])", cache=True)
+@njit("void(f8[:, ::1], f8[:, ::1])", cache=True, entry=True)
 def as_fixes(points: F64, fixes: F64) -> None:
     """``fixes`` (N, :data:`FIX_SIZE`) from ``points`` (N, :data:`POINT_SIZE`)."""
     axes = np.empty((3, 3))
