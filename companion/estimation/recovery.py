@@ -16,7 +16,14 @@ from companion.estimation import walk as w
 from companion.estimation.bank import spread_headings
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.phases import Check, Filter, Phase, Setup
-from companion.estimation.source_words import declared, rejoined, relocked, returned, taken_back
+from companion.estimation.source_words import (
+    begun_anew,
+    declared,
+    rejoined,
+    relocked,
+    returned,
+    taken_back,
+)
 from companion.estimation.start import place_at
 from companion.navigation import layout as lo
 from companion.navigation.earth import ned_difference
@@ -72,7 +79,27 @@ def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
         if wish == sf.ONE_PLACE or (wish == sf.ASK_VELOCITY and agreeing_fixes(aids, t)):
             events.append(relocked(t, part, _ints(f.k, part)))
             return _at_source(setup, f, t, part, aids), events
+        if wish == sf.ASK_VELOCITY and part == 0 and _without_velocity(aids, t):
+            q = _ints(f.k, part)
+            events.append(begun_anew(t, q))
+            resets = int(f.k[lo.RESETS]) + 1
+            return Phase(t + 1, Mode.ALIGNING, prior=f, resets=resets, reached=t), events
     return None, events
+
+
+def _without_velocity(aids: SampleBuffer, t: int) -> bool:
+    """Whether the receiver tells places alone: then it will never say what velocity is right.
+
+    Refused for so long, with nothing to hold it against, it is the filter that is lost: a velocity
+    that ran away comes of a wrong level or heading, which would run away again from any place.
+    """
+    recent = [
+        m
+        for m in range(aids.start, aids.after(t))
+        if aids.key[m, 0] == w.KIND_GNSS and aids.t[m] > t - 5 * NS
+    ]
+    places = [m for m in recent if np.all(np.isfinite(aids.rows[m, :3]))]
+    return len(places) >= RELOCK_FIXES and not np.isfinite(aids.rows[recent, 3:5]).any()
 
 
 def _ints(k: I64, part: int) -> I64:

@@ -320,6 +320,8 @@ def weigh(
                 q[AFRESH] = 1
                 f[AGREEING] = f[AGREEING] + 1.0 if near and recent else 0.0
                 if f[AGREEING] < CONFIRMING_FIXES:
+                    # A filter that runs away makes each fix disagree with the last: not for good.
+                    _may_relock(q, ipar, t, vouched)
                     return REJECTED_UNCONFIRMED
             _declare(f, q, t, vouched)
     _may_relock(q, ipar, t, vouched)

@@ -61,6 +61,16 @@ def rejoined(t: int, part: int) -> Event:
     return Event(t, "relocked", text, "warning")
 
 
+def begun_anew(t: int, q: I64) -> Event:
+    """That the filter begins anew at a receiver without velocity, which it refused for long."""
+    since = int(q[sf.T_FAULT]) if q[sf.STATE] != sf.TRUSTED else int(q[sf.T_REFUSED])
+    text = (
+        f"positions without velocity were refused for {(t - since) / NS:.0f} s, and nothing else "
+        "says where it goes: beginning anew at them"
+    )
+    return Event(t, "relocked", text, "warning")
+
+
 def relocked(t: int, part: int, q: I64) -> Event:
     """That the source is believed after all, ``q`` saying since when it was not."""
     since = int(q[sf.T_FAULT]) if q[sf.STATE] != sf.TRUSTED else int(q[sf.T_REFUSED])

@@ -17,7 +17,9 @@ from companion.intake.fusion.judge import (
     hold_against,
     learn_noise,
     noise_of,
+    note_pull,
     set_weights,
+    undo,
 )
 from companion.intake.fusion.layout import (
     AGREE_SINCE,
@@ -136,9 +138,22 @@ def _tell(count: int, what: int, u: int, why: int, axis: float, by: float, news:
     return count + 1
 
 
-@njit("i8(i8, i8, i8, i8, f8[:, ::1], i8[:, ::1], f8[::1], i8, f8[:, ::1])", cache=True)
+@njit(
+    "i8(i8, i8, i8, i8, f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[::1], f8[::1], i8, f8[:, ::1])",
+    cache=True,
+)
 def _exclude(
-    u: int, why: int, t: int, trusted: int, s: F64, k: I64, config: F64, count: int, news: F64
+    u: int,
+    why: int,
+    t: int,
+    trusted: int,
+    s: F64,
+    k: I64,
+    terms: F64,
+    common: F64,
+    config: F64,
+    count: int,
+    news: F64,
 ) -> int:
     """Exclude unit ``u``, unless it is the last one; that is news either way."""
     if trusted < 2:
@@ -150,6 +165,7 @@ def _exclude(
     k[u, EXCLUSIONS] += 1
     k[u, GOOD_SINCE] = t
     k[u, OVER] = k[u, NOISY] = 0
+    undo(u, s, terms, common)
     s[u, PROOF] = min(max(2.0 * s[u, PROOF], config[C_PROOF_S]), LONGEST_PROOF_S)
     return _tell(count, EXCLUDED, u, why, s[u, WORST], s[u, WORST + 1], news)
 
@@ -225,7 +241,8 @@ def _begin(s: F64, k: I64, present: I64, common: F64, clock: I64) -> None:
 
 
 @njit(
-    "i8(i8, i8, f8[::1], f8[::1], f8[:, ::1], i8[:, ::1], f8[::1], i8[::1], i8, f8[:, ::1])",
+    "i8(i8, i8, f8[::1], f8[::1], f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[::1], i8[::1], i8,"
+    "f8[:, ::1])",
     cache=True,
 )
 def _accuse(
@@ -235,6 +252,7 @@ def _accuse(
     typical: F64,
     s: F64,
     k: I64,
+    terms: F64,
     common: F64,
     clock: I64,
     count: int,
@@ -256,7 +274,7 @@ def _accuse(
                 )
     elif worst >= 0:
         why = _name(worst, typical, s, k, common)
-        count = _exclude(worst, why, t, trusted, s, k, config, count, news)
+        count = _exclude(worst, why, t, trusted, s, k, terms, common, config, count, news)
     if clock[DISAGREE] > 0:
         agreed = (t - clock[AGREE_SINCE]) * 1e-9 >= config[C_PROOF_S]
         if agreed or trusted > 2 or trusted < 2:
@@ -315,18 +333,19 @@ def close_window(
         elif k[u, WHY] != TRUSTED:
             k[u, GOOD_SINCE] = t
         elif config[C_EXCLUDE] > 0.0:
-            count = _exclude(u, own[u], t, many, s, k, config, count, news)
+            count = _exclude(u, own[u], t, many, s, k, terms, common, config, count, news)
             many -= k[u, WHY] != TRUSTED
     for u in range(units):
         trusted[u] = 1 if k[u, WHY] == TRUSTED and present[u] == 1 else 0
     learn_noise(present, s, k, pairs, clock[WINDOWS], least)
     set_weights(trusted, unit, s, pairs, least, typical)
+    note_pull(trusted, s)
     _note_noise(present, trusted, unit, k, pairs, clock[WINDOWS])
     for u in range(units):
         if present[u] == 1 and many > 0:
             hold_against(u, many, config, typical, unit, s, k, terms, P, common)
     if config[C_EXCLUDE] > 0.0:
-        count = _accuse(t, many, config, typical, s, k, common, clock, count, news)
+        count = _accuse(t, many, config, typical, s, k, terms, common, clock, count, news)
     for u in range(units):
         count = _admit(u, t, present[u], s, k, count, news)
         calm = k[u, OVER] == 0 and clock[DISAGREE] == 0 and many > 1

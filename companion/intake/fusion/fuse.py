@@ -20,6 +20,7 @@ from companion.intake.fusion.layout import (
     FIRST,
     LEVER,
     OMEGA,
+    PULLED,
     RING,
     ROW_EXCESS,
     ROW_INTERVAL,
@@ -97,7 +98,8 @@ def epoch(
         combine(dt, valid, clock, unit, s, k, terms, P, common, x, row[:6])
         row[ROW_INTERVAL] = dt
         for sensor in range(2):
-            row[ROW_EXCESS + sensor] = common[EXCESS + sensor]
+            row[ROW_EXCESS + sensor] = common[EXCESS + sensor] + common[PULLED + sensor] / dt
+            common[PULLED + sensor] = 0.0
     else:
         force = np.zeros(3)
         lever_force(unit[leader, LEVER : LEVER + 3], common, force)

@@ -21,8 +21,11 @@ from companion.intake.fusion.layout import (
     CENTRE,
     CENTRE_BEFORE,
     HAVE_BEFORE,
+    MOVED,
     ONSET,
     OVER,
+    PULL,
+    PULLED,
     RATIO,
     SLOW,
     SUM_E,
@@ -50,6 +53,8 @@ LEARNING = 40
 """Windows, ten seconds, before noise is held against what is usual."""
 BOUNDED = 9.0
 """A unit's variance counts for at most, and at least, so many times the median one."""
+LATELY = 1.0 - 1.0 / 40.0
+"""Memory of what a unit did to the mean, a window: ten seconds, what a drift takes to be found."""
 
 
 @njit("void(i8[::1], f8[:, ::1], i8[:, ::1], f8[:, :, :, ::1], i8, f8[::1])", cache=True)
@@ -217,6 +222,41 @@ def hold_against(
             s[u, ONSET + a] = s[u, SUM_E + a]
 
 
+@njit("void(i8[::1], f8[:, ::1])", cache=True)
+def note_pull(trusted: I64, s: F64) -> None:
+    """Add up what each trusted unit does to the integral of the mean: share times deviation.
+
+    What of the deviation has been taken for its bias has moved the mean by as much for good.
+    """
+    for sensor in range(2):
+        weight = 0.0
+        for u in range(s.shape[0]):
+            weight += s[u, WEIGHT + sensor] * trusted[u]
+        for u in range(s.shape[0]):
+            for a in range(3 * sensor, 3 * sensor + 3):
+                by = 0.0
+                if trusted[u] == 1:
+                    by = s[u, SUM_E + a] * s[u, WEIGHT + sensor] / weight + s[u, MOVED + a]
+                s[u, PULL + a] = LATELY * s[u, PULL + a] + by * WINDOW_S
+
+
+@njit("void(i8, f8[:, ::1], f8[:, :, ::1], f8[::1])", cache=True)
+def undo(u: int, s: F64, terms: F64, common: F64) -> None:
+    """Take back what unit ``u``, just excluded, did to the mean of the others.
+
+    The biases of the others go back to where they were before its fault was taken for a bias; what
+    it turned and accelerated the mean by meanwhile is in attitude and velocity now, and is handed
+    on as variance: part of it has been corrected by aids, nobody knows which.
+    """
+    for a in range(6):
+        sensor = a // 3
+        for v in range(s.shape[0]):
+            if v != u:
+                terms[v, a, 0] += s[u, MOVED + a]
+        common[PULLED + sensor] = max(common[PULLED + sensor], s[u, PULL + a] ** 2)
+        s[u, MOVED + a] = s[u, PULL + a] = 0.0
+
+
 @njit(
     "void(i8[::1], f8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[:, :, :, ::1],"
     "f8[::1])",
@@ -231,7 +271,7 @@ def follow(
     """
     units = s.shape[0]
     h, Ph = np.empty(TERMS), np.empty(TERMS)
-    moved = np.zeros(TERMS)
+    moved, own = np.zeros(TERMS), np.zeros(units)
     for a in range(6):
         sensor = a // 3
         white = _white(a, common, typical[sensor])
@@ -252,6 +292,8 @@ def follow(
             for i in range(TERMS):
                 step = Ph[i] / S * e
                 terms[u, a, i] += step
+                if i == 0:
+                    own[u] = step * s[u, WEIGHT + sensor]
                 if k[u, WHY] == TRUSTED:
                     moved[i] += s[u, WEIGHT + sensor] * step
                 for j in range(i, TERMS):
@@ -263,3 +305,5 @@ def follow(
             for u in range(units):
                 for i in range(TERMS):
                     terms[u, a, i] -= moved[i] / weight
+                learned = own[u] / weight if follows[u] == 1 and k[u, WHY] == TRUSTED else 0.0
+                s[u, MOVED + a] = LATELY * s[u, MOVED + a] + learned

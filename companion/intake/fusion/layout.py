@@ -33,7 +33,9 @@ PROOF = 31  # seconds of agreement that bring it back
 PERIOD = 32  # usual time between samples [s]
 ONSET = 33  # 6: deviation in the last window that was not too far off
 NOW = 39  # 6: low-passed deviation, a few epochs long
-STATE_SIZE = 45
+PULL = 45  # 6: what it did to the integral of the mean lately [rad, m/s]
+MOVED = 51  # 6: how far the mean moved lately with what was learned of its bias
+STATE_SIZE = 57
 
 # --- integers of a unit (U, COUNT_SIZE)
 FIRST, END = 0, 1  # samples of the ring in use: [FIRST, END), modulo RING
@@ -63,7 +65,8 @@ DISCORD = 8  # 2: squared half difference of two units that disagree
 EXCESS = 10  # 2: what that adds to the noise density
 CENTRE = 12  # 6: summed over the window, then its mean
 CENTRE_BEFORE = 18  # 6: mean over the window before
-COMMON_SIZE = 24
+PULLED = 24  # 2: variance that one just excluded left behind, to be handed on once
+COMMON_SIZE = 26
 
 # --- common to all: integers
 T_LAST, CELL, DISAGREE, AGREE_SINCE, WINDOWS, EPOCHS = 0, 1, 2, 3, 4, 5
