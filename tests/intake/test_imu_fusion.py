@@ -12,7 +12,9 @@ import pytest
 from companion.config import DEG, Config, FurtherImu
 from companion.intake.counters import Counters
 from companion.intake.fused import FusedImu
+from companion.intake.fusion import layout as lo
 from companion.intake.fusion.fusion import ImuFusion
+from companion.intake.fusion.judge import note_pull, undo
 from companion.types import NS, Event, ImuSamples
 from replay.simulator.simulation import run
 
@@ -234,3 +236,24 @@ def test_a_clock_that_begins_anew_begins_the_fusion_anew() -> None:
     assert len(back) == 1
     assert len(out) == len(again[0])
     assert events == []
+
+
+def test_what_an_excluded_unit_did_to_the_mean_is_taken_back() -> None:
+    """A third of 0.3 rad/s for two windows is 0.05 rad; 0.02 of its bias had been learned."""
+    s, terms, common = (
+        np.zeros((3, lo.STATE_SIZE)),
+        np.zeros((3, 6, lo.TERMS)),
+        np.zeros(lo.COMMON_SIZE),
+    )
+    s[:, lo.WEIGHT : lo.WEIGHT + 2] = 1.0
+    s[1, lo.SUM_E + 2] = 0.3
+    for _ in range(2):
+        note_pull(np.ones(3, np.int64), s)
+    s[1, lo.MOVED + 2] = 0.02
+    terms[:, 2, 0] = -0.02
+    undo(1, s, terms, common)
+    # The first of the two windows has begun to be forgotten.
+    assert math.sqrt(common[lo.PULLED]) == pytest.approx(0.05, rel=0.02)
+    assert common[lo.PULLED + 1] == 0.0
+    assert terms[:, 2, 0].tolist() == [0.0, -0.02, 0.0]
+    assert not s[1, lo.PULL : lo.MOVED + 6].any()
