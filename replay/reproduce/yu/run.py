@@ -9,6 +9,7 @@ import numpy as np
 
 from companion.config import (
     DEG,
+    Adaptation,
     Alignment,
     Baro,
     Config,
@@ -77,6 +78,7 @@ def configuration(jerk: float, transitions: bool) -> Config:
         baro=Baro(use=False),
         alignment=Alignment(heading="fixed"),
         engine=EngineConfig(estimator="direct", output_rate_hz=10.0),
+        adaptation=Adaptation(method="none"),  # the paper's filter has none
         direct=Direct(
             jerk_mps3_rthz=(jerk, jerk, jerk),
             acceleration_tau_s=0.0,
