@@ -18,6 +18,7 @@ from replay.raw_gnss.epochs import Epoch, Observation, in_order, possible, raw_s
 
 SIGNALS = {"G": ("1C",), "E": ("1C", "1X", "1B"), "C": ("2I", "1I")}
 """Band and attribute of the signals that fit the group delays, best first; 1I is B1 in 3.02."""
+_OWN_TIME = {"C": "BDT", "R": "GLO"}
 _WIDTH = 16
 _HEADER_LINES = 2000
 
@@ -32,6 +33,7 @@ class Header:
     count: int = 0
     """Version 2: observations a satellite."""
     time: str = "GPS"
+    """System of the epochs' time; where a header does not say it, that of its satellites."""
 
 
 def text_lines(path: Path) -> list[str]:
@@ -63,7 +65,8 @@ def _header(path: Path, lines: list[str]) -> tuple[Header, int]:
     version, kind = version_and_type(path, lines)
     if kind != "O":
         raise LogFormatError(f"{path}:1: RINEX file of type '{kind}', not observations")
-    head = Header(version)
+    # RINEX 3.05, table A2: a file of one system is in its time unless it says otherwise.
+    head = Header(version, time=_OWN_TIME.get(lines[0][40:41], "GPS"))
     types: dict[str, list[str]] = {}
     letter = ""
     for number, line in enumerate(lines[:_HEADER_LINES]):
@@ -74,7 +77,10 @@ def _header(path: Path, lines: list[str]) -> tuple[Header, int]:
         elif label == "# / TYPES OF OBSERV":
             types.setdefault("", []).extend(line[6:60].split())
         elif label == "TIME OF FIRST OBS":
-            head.time = line[48:51].strip() or "GPS"
+            head.time = line[48:51].strip() or head.time
+        elif label == "SYS / SCALE FACTOR" and line[2:6].strip() not in ("", "1"):
+            factor = line[2:6].strip()
+            raise LogFormatError(f"{path}:{number + 1}: numbers scaled by {factor}: not readable")
         elif label == "END OF HEADER":
             _place(path, head, types)
             return head, number + 1

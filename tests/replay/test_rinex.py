@@ -82,6 +82,11 @@ def test_observations_of_version_2(tmp_path: Path) -> None:
         ("END OF HEADER", "COMMENT", "the RINEX header does not end"),
         ("GPS  ", "UTC  ", "epochs in UTC time"),
         ("C1C", "C5Q", ""),
+        (
+            _line("", "END OF HEADER"),
+            _line("G 100", "SYS / SCALE FACTOR") + _line("", "END OF HEADER"),
+            "numbers scaled by 100",
+        ),
     ],
 )
 def test_headers_that_cannot_be_are_one_clear_line(
@@ -90,6 +95,22 @@ def test_headers_that_cannot_be_are_one_clear_line(
     text = OBS_3.replace(old, new).replace("C1X", "C5X" if new == "C5Q" else "C1X")
     with pytest.raises(LogFormatError, match=says or "no pseudoranges of GPS L1"):
         read_observations(_written(tmp_path, text))
+
+
+@pytest.mark.parametrize("wrong", ["L1C C1C D1C S1C", "S1C L1C D1C C1C", "D1C C1C L1C S1C"])
+def test_columns_that_a_header_interchanges_are_no_ranges(tmp_path: Path, wrong: str) -> None:
+    """Phase, Doppler or C/N0 in the place of the pseudorange: other satellites are read."""
+    raw, notes = read_observations(_written(tmp_path, OBS_3.replace("C1C L1C D1C S1C", wrong)))
+    assert raw.sat[:, :2].tolist() == [[210, 0]]
+    assert notes == ["test.obs: 2 lines or epochs that cannot be, left out"]
+
+
+def test_a_file_of_beidou_alone_is_in_its_own_time_unless_it_says_otherwise(tmp_path: Path) -> None:
+    one = OBS_3.replace("OBSERVATION DATA    M", "OBSERVATION DATA    C")
+    assert len(read_observations(_written(tmp_path, one))[0]) == 2
+    silent = one.replace("TIME OF FIRST OBS", "COMMENT")
+    with pytest.raises(LogFormatError, match="epochs in BDT time"):
+        read_observations(_written(tmp_path, silent))
 
 
 def test_broken_epochs_are_left_out_and_counted(tmp_path: Path) -> None:
