@@ -213,7 +213,8 @@ def _show_adaptation(
 ) -> None:
     if not episodes:
         return
-    console.print("[bold]Adapted[/bold]")
+    legend = "(innovations: what a sensor measured beside what the filter foresaw)"
+    console.print(f"[bold]Adapted[/bold]   {legend}", highlight=False)
     for e in episodes[:most]:
         what = e["channel"].replace("_", " ")
         if e["what"] == "R":

@@ -253,3 +253,35 @@ def test_anything_in_place_of_a_live_value_is_taken_or_refused_by_its_key() -> N
                 assert (key if key != "fd" else "options") in said
                 assert "\n" not in said
     assert refused > 500
+
+
+UNITS = """
+[[can]]
+channel = "can0"
+[[can.imu]]
+name = "front"
+protocol = "dronecan"
+node_id = 42
+gyro_range_dps = 2000.0
+accel_range_mps2 = 157.0
+"""
+REAR = """
+[[can.imu]]
+name = "rear"
+protocol = "dronecan"
+node_id = 43
+gyro_range_dps = 500.0
+"""
+
+
+def test_a_full_scale_is_said_once() -> None:
+    """Of a CAN unit; what [imu] says itself counts more, and of two units a name decides."""
+    imu = parse(UNITS).imu
+    assert (imu.gyro_range_dps, imu.accel_range_mps2) == (2000.0, 157.0)
+    imu = parse("[imu]\naccel_range_mps2 = 78.5\n" + UNITS).imu
+    assert (imu.gyro_range_dps, imu.accel_range_mps2) == (2000.0, 78.5)
+    assert parse(UNITS + REAR).imu.gyro_range_dps == 0.0
+    both = parse('[imu]\nsource = "rear"\n[[further_imu]]\nsource = "front"\n' + UNITS + REAR)
+    assert both.imu.gyro_range_dps == 500.0
+    assert both.further_imu[0].gyro_range_dps == 2000.0
+    assert parse('[imu]\nsource = "HIGHRES_IMU"\n' + UNITS).imu.gyro_range_dps == 0.0

@@ -14,7 +14,8 @@ from typing import Any, get_args
 
 import msgspec
 
-from companion.config.adaptation import Adaptation, check_adaptation
+from companion.config.adaptation import Adaptation, check_adaptation, with_all_rules
+from companion.config.can_ranges import further_with_ranges, imu_with_range
 from companion.config.direct_checks import check_direct
 from companion.config.estimator import (
     Alignment,
@@ -305,6 +306,12 @@ def from_table(table: dict[str, Any], origin: str = "configuration") -> Config:
     try:
         config = msgspec.convert(table, Config)
         _check(config)
+        config = msgspec.structs.replace(
+            config,
+            adaptation=with_all_rules(config.adaptation),
+            imu=imu_with_range(config.imu, config.can),
+            further_imu=further_with_ranges(config.further_imu, config.can),
+        )
     except msgspec.ValidationError as error:
         raise ConfigError(f"{origin}: {_explain(error)}") from None
     except ConfigError as error:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
+import msgspec
+
 from companion.config.ranges import within
 from companion.config.section import Section
 from companion.types import ConfigError
@@ -99,7 +101,7 @@ class Fuzzy(Section):
     fall: float = 1.2
     """And by which it may shrink."""
     rules: tuple[Rule, ...] = _rules()
-    """Nine, in any order: one for each spread and mean."""
+    """One for each spread and mean, in any order; those that are not given stay as they are."""
 
 
 class Flac(Section):
@@ -112,7 +114,7 @@ class Flac(Section):
     large: float = 1.04
     """α of a large weight."""
     rules: tuple[FlacRule, ...] = _flac_rules()
-    """Nine, in any order: one for each covariance and mean."""
+    """One for each covariance and mean, as above."""
 
 
 class Adaptation(Section):
@@ -157,12 +159,33 @@ def check_adaptation(a: Adaptation) -> None:
     for name in ("small", "medium", "large"):
         value = getattr(a.flac, name)
         within(f"{key}.flac.{name}", value, 1.0, 1.2, "factor α")
-    _complete(f"{key}.fuzzy.rules", [(r.spread, r.mean) for r in f.rules], "spread and mean")
-    flac = [(r.covariance, r.mean) for r in a.flac.rules]
-    _complete(f"{key}.flac.rules", flac, "covariance and mean")
+    _once(f"{key}.fuzzy.rules", [_fuzzy_inputs(r) for r in f.rules], "spread and mean")
+    _once(f"{key}.flac.rules", [_flac_inputs(r) for r in a.flac.rules], "covariance and mean")
 
 
-def _complete(key: str, pairs: Sequence[tuple[str, str]], what: str) -> None:
-    """Raise unless there is exactly one rule for each of the nine pairs of inputs."""
-    if len(pairs) != 9 or len(set(pairs)) != 9:
-        raise ConfigError(f"key '{key}': nine rules, one for each pair of {what}, got {len(pairs)}")
+def with_all_rules(a: Adaptation) -> Adaptation:
+    """``a`` with the nine rules of each table: those that it does not give are the default's."""
+    replace = msgspec.structs.replace
+    own = {_fuzzy_inputs(rule) for rule in a.fuzzy.rules}
+    fuzzy = (*a.fuzzy.rules, *(rule for rule in _rules() if _fuzzy_inputs(rule) not in own))
+    own = {_flac_inputs(rule) for rule in a.flac.rules}
+    flac = (*a.flac.rules, *(rule for rule in _flac_rules() if _flac_inputs(rule) not in own))
+    return replace(a, fuzzy=replace(a.fuzzy, rules=fuzzy), flac=replace(a.flac, rules=flac))
+
+
+def _fuzzy_inputs(rule: Rule) -> tuple[str, str]:
+    return rule.spread, rule.mean
+
+
+def _flac_inputs(rule: FlacRule) -> tuple[str, str]:
+    return rule.covariance, rule.mean
+
+
+def _once(key: str, pairs: Sequence[tuple[str, str]], what: str) -> None:
+    """Raise where two rules are for the same pair of inputs."""
+    for pair in pairs:
+        if pairs.count(pair) > 1:
+            raise ConfigError(
+                f"key '{key}': one rule for each pair of {what}, got {pairs.count(pair)} for "
+                f"'{pair[0]}' and '{pair[1]}'"
+            )

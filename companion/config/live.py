@@ -56,8 +56,8 @@ class CanImu(Section):
     rate_hz: float = 0.0
     """Expected sample rate; 0: learned. Silence is judged by it."""
     gyro_range_dps: float = 0.0
-    """Full scale; an axis at it is flagged as saturated. 0: the wire format's own. The filter knows
-    it by ``imu.gyro_range_dps``."""
+    """Full scale; an axis at it is flagged as saturated. 0: the wire format's own. It holds for the
+    filter too, where ``imu.gyro_range_dps`` is not given."""
     accel_range_mps2: float = 0.0
     """The same for the accelerometer."""
     dbc: DbcMapping | None = None
