@@ -41,7 +41,7 @@ from companion.intake.inertial import (
     InertialIntake,
     in_order,
 )
-from companion.intake.ranges import RangeIntake, RangeSamples
+from companion.intake.ranges import SILENT, RangeIntake, RangeSamples, Said
 from companion.outlet import NO_SOLUTION, NOTHING, Outlet, also, join, reports, trace
 from companion.smoothing.on_line import OnLine
 from companion.types import (
@@ -124,10 +124,8 @@ class Engine:
             self._step_sensor(made)
         # Rows walked again settle with the next inertial samples; what is new is said at once.
         said, traced = self._reports()
-        every = (*self._outlet.events(self.filter), *sky.events)
-        return Outputs(
-            NO_SOLUTION, NO_SOLUTION, said, every, adaptation=traced, satellites=sky.satellites
-        )
+        every = tuple(self._outlet.events(self.filter))
+        return _with_sky(Outputs(NO_SOLUTION, NO_SOLUTION, said, every, adaptation=traced), sky)
 
     def _step_sensor(self, samples: AidingSamples | RangeSamples) -> None:
         """One sensor's arrival, behind what waits for it."""
@@ -179,8 +177,7 @@ class Engine:
             ]
         late.sort(key=lambda one: one[0])
         self._walk_between(t, rows, late)
-        out = also(self._drain(), sky.events)
-        return replace(out, satellites=sky.satellites) if len(sky.satellites) else out
+        return _with_sky(self._drain(), sky)
 
     def finish(self) -> Outputs:
         """Settle everything: the run has ended."""
@@ -411,6 +408,18 @@ class Engine:
             self._aids.forget(head - self._ring_ns - KEEP_NS)
         if len(self._aids) > 1:
             self._aids.forget(int(self._aids.t[self._aids.end - 1]) - WAITING_NS)
+
+
+def _with_sky(out: Outputs, sky: Said) -> Outputs:
+    """What a step gave out, and what the stream of raw measurements had to say."""
+    if sky is SILENT:
+        return out
+    return replace(
+        out,
+        events=(*out.events, *sky.events),
+        adaptation=AdaptationTrace.concatenate([out.adaptation, sky.adaptation]),
+        satellites=sky.satellites,
+    )
 
 
 def _among(values: F64 | I64, wanted: I64) -> NDArray[np.bool_]:

@@ -96,6 +96,49 @@ def reset_covariance(P: F64, dx: F64, n: int) -> None:
 
 
 @njit(
+    "f8(f8[::1], i8[::1], i8[::1], f8[:, ::1], f8[::1], f8[::1], i8, f8[:, ::1])",
+    cache=True,
+    counted=False,
+)
+def foresee(s: F64, lay: I64, ipar: I64, H: F64, y: F64, R: F64, m: int, W: F64) -> float:
+    """NIS of ``m`` components against what the filter foresees; −1: S is not definite.
+
+    ``y`` loses what the error carried in feedforward mode foresees. Of the scratch ``W`` (≥ 12,
+    ≥ n), rows 0 to 2 are H P, 4 to 6 S, 7 to 10 its factor and the whitened innovation, 11 the
+    diagonal of H P Hᵀ.
+    """
+    n = lay[L_N]
+    P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
+    PHt, S, L, foreseen = W[:3], W[4:7], W[7:11], W[11]
+    for i in range(m):
+        for j in range(n):
+            PHt[i, j] = 0.0
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                if ipar[FEEDFORWARD] == 1:
+                    y[i] -= h * s[DX + k]
+                for j in range(n):
+                    PHt[i, j] += h * P[k, j]
+    for i in range(m):
+        for j in range(i + 1):
+            x = 0.0
+            for k in range(n):
+                x += H[j, k] * PHt[i, k]
+            S[i, j] = x
+            S[j, i] = x
+        foreseen[i] = S[i, i]
+        S[i, i] += R[i]
+    return float(normalised_square(S, y, m, L))
+
+
+@njit("void(f8[::1], f8, i8)", cache=True, counted=False)
+def note_velocity_fit(s: F64, nis: float, m: int) -> None:
+    """Take one NIS of ``m`` components of velocity into the running mean."""
+    s[VELOCITY_FIT] += (min(nis, WINSOR) / m - s[VELOCITY_FIT]) / FIT_UPDATES
+
+
+@njit(
     "b1(f8[::1], i8[::1], f8[::1], i8[::1], i8, i8, f8, f8[:, ::1], f8[::1], f8[::1], i8,"
     f"f8[:, ::1], f8[::1], {RECORDER})",
     cache=True,
@@ -126,26 +169,7 @@ def fuse(
     n = lay[L_N]
     P = s[P_OFFSET : P_OFFSET + n * n].reshape((n, n))
     PHt, dx, S, L, foreseen = W[:3], W[3], W[4:7], W[7:11], W[11]
-    for i in range(m):
-        for j in range(n):
-            PHt[i, j] = 0.0
-        for k in range(n):
-            h = H[i, k]
-            if h != 0.0:
-                if ipar[FEEDFORWARD] == 1:
-                    y[i] -= h * s[DX + k]
-                for j in range(n):
-                    PHt[i, j] += h * P[k, j]
-    for i in range(m):
-        for j in range(i + 1):
-            x = 0.0
-            for k in range(n):
-                x += H[j, k] * PHt[i, k]
-            S[i, j] = x
-            S[j, i] = x
-        foreseen[i] = S[i, i]
-        S[i, i] += R[i]
-    nis = normalised_square(S, y, m, L)
+    nis = foresee(s, lay, ipar, H, y, R, m, W)
     gate = par[GATE + m - 1]
     scale = 1.0
     report[R_TRACE + TRACED] = 0.0
@@ -168,7 +192,7 @@ def fuse(
         report[R_VERDICT] = barred
         return False
     if channel == VELOCITY_H:
-        s[VELOCITY_FIT] += (min(nis, WINSOR) / m - s[VELOCITY_FIT]) / FIT_UPDATES
+        note_velocity_fit(s, nis, m)
     if ipar[BANK] == 1 and channel != ZERO_VELOCITY and channel != ZERO_RATE:
         # Hypotheses compete on how well they foresee the aids; a standstill favours none of them.
         log_det = 0.0

@@ -46,7 +46,7 @@ from companion.estimation.parameters import (
 from companion.estimation.saturation import SATURATION, saturated
 from companion.estimation.source_faults import report_source, settle, undecided, weigh
 from companion.estimation.tape import RECORDER, Recorder, record_fix, record_row, record_step
-from companion.estimation.update import R_VERDICT, fuse
+from companion.estimation.update import R_VERDICT, foresee, fuse, note_velocity_fit
 from companion.gnss.corrected import S_RANGE_VAR, S_RATE_VAR, S_SYSTEM
 from companion.measurements.barometer import height
 from companion.measurements.gnss import position, velocity
@@ -171,9 +171,12 @@ def fuse_gnss(
         s[GNSS_SPEED_SD] = math.sqrt(z[A_VAR_VELOCITY])
         s[GNSS_GROUND_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2)
         k[T_GNSS_SPEED] = t
-    # With ranges at hand a fix made of them says nothing new, but for the bank's sake.
-    halves = 0 if ipar[TIGHT] == 1 and ipar[BANK] == 0 else 4
-    for half in range(halves):
+    # With ranges at hand a fix made of them says nothing new, but for the bank's sake, and how well
+    # the velocity fits, by which a wrong attitude is found.
+    aside = ipar[TIGHT] == 1 and ipar[BANK] == 0
+    for half in range(4):
+        if aside and half != 2:
+            continue
         vertical = half % 2 == 1
         o = A_VELOCITY if half >= 2 else A_VALUE
         v = A_VAR_VELOCITY if half >= 2 else A_VAR
@@ -204,6 +207,11 @@ def fuse_gnss(
             y[0] = y[2]
             for j in range(n):
                 H[0, j] = H[2, j]
+        if aside:
+            nis = foresee(s, lay, ipar, H, y, R, m, W)
+            if nis >= 0.0:
+                note_velocity_fit(s, nis, m)
+            continue
         barred = 0.0
         if half < 2 and ipar[BANK] == 0:
             barred = weigh(s, k, lay, par, ipar, half, y, R, t, W[SPARE + 2])
@@ -239,7 +247,7 @@ def fuse_gnss(
             fuse(s, lay, par, ipar, _COURSE, source, 0.0, H, y, R, 1, W, reports[count], tape)
             reports_t[count] = t
             count += 1
-    if halves > 0:
+    if not aside:
         after_fix(s, lay, ipar, tape)
     if taken:
         record_fix(tape, t)
@@ -273,17 +281,18 @@ def fuse_ranges(
     Returns the number of report rows after it.
     """
     n = lay[L_N]
-    y, one, R = np.empty(3), np.empty(3), np.empty(3)
+    y, one, R, dx = W[SPARE], W[SPARE + 1], W[SPARE + 2], W[3]
     quat_to_matrix(s, C)
     measured = satellite(s, lay, C, z, H, y)
+    moved = False
     for m in range(measured):
         rate = m == 1
         if rate:
-            # The range has moved the state: linearise anew.
-            quat_to_matrix(s, C)
-            satellite(s, lay, C, z, H, y)
             for j in range(n):
                 H[0, j] = H[1, j]
+                # The range has moved the state; that it turns the line of sight is in H.
+                if moved and ipar[FEEDFORWARD] == 0:
+                    y[1] -= H[1, j] * dx[j]
         one[0], R[0] = y[m], z[S_RATE_VAR if rate else S_RANGE_VAR]
         channel = (_RATE if rate else _RANGE) + int(z[S_SYSTEM])
         good = fuse(s, lay, par, ipar, channel, source, 0.0, H, one, R, 1, W, reports[count], tape)
@@ -293,6 +302,7 @@ def fuse_ranges(
             if good:
                 k[T_VELOCITY_AID] = t
         else:
+            moved = good
             k[EPOCH_SEEN] += 1
             k[EPOCH_TAKEN] += good
     return count

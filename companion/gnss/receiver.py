@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from companion.gnss.corrected import (
     NOISE_SIZE,
     ROW_SIZE,
     S_RANGE,
+    S_RANGE_VAR,
+    S_RATE_VAR,
     S_SAT,
     S_SYSTEM,
     V_CN0,
@@ -31,8 +34,18 @@ from companion.gnss.corrected import (
     expected_range,
 )
 from companion.gnss.geometry import NO_DOP, best_set, dilution, geodetic, lines_of_sight
-from companion.gnss.single_point import P_CLOCK, P_POS, P_RATE, POINT_SIZE, SOLVED, TOO_FEW, solve
-from companion.gnss.systems import SYSTEM_NAMES, satellite_name
+from companion.gnss.scatter import scatter, trimmed_mean
+from companion.gnss.single_point import (
+    FAULTY,
+    P_CLOCK,
+    P_POS,
+    P_RATE,
+    POINT_SIZE,
+    SOLVED,
+    TOO_FEW,
+    solve,
+)
+from companion.gnss.systems import SYSTEM_NAMES, SYSTEMS, satellite_name
 from companion.types import F64, I64, BroadcastSamples, Event, Flags, RawGnssSamples
 
 NAMES = tuple(name.lower() for name in SYSTEM_NAMES)
@@ -46,6 +59,7 @@ NO_EPHEMERIS_S = 60.0
 """A satellite repeats its own every 30 s."""
 MOST_DOF = 64
 FASTEST_MPS = 100.0
+_ONES = np.ones(SYSTEMS)
 
 
 @cache
@@ -76,6 +90,8 @@ class Prepared:
     without: dict[str, list[int]]
     """Satellites that could not be used, by reason."""
     events: tuple[Event, ...]
+    factors: F64
+    """(SYSTEMS,) on the variances of its ranges, by how far their systems are trusted."""
     let_go: bool = False
     """The receiver's clock jumped in front of it, by more than this epoch can tell."""
 
@@ -93,11 +109,25 @@ class _Block:
     """They have a pseudorange each."""
 
 
+class Trust(Protocol):
+    """Who learns how far the measurements of each system are off what they are taken for."""
+
+    @property
+    def factors(self) -> F64:
+        """(2, SYSTEMS) on the variances of ranges and of rates, in force now."""
+        ...
+
+    def learn(self, t_ns: int, found: F64) -> None:
+        """Take in what :func:`companion.gnss.scatter.scatter` found of an epoch."""
+        ...
+
+
 class Receiver:
     """State of one stream of raw measurements."""
 
-    def __init__(self, config: RawGnss) -> None:
+    def __init__(self, config: RawGnss, trust: Trust | None = None) -> None:
         self.config = config
+        self._trust = trust
         self.ephemerides = Ephemerides()
         self.clock = ClockSteps()
         self.unsolved = 0
@@ -146,11 +176,18 @@ class Receiver:
                 table, which, week, tow, observed, self._place,
                 self.ephemerides.ionosphere, self._noise, rows, sky,
             )  # fmt: skip
+            if self._trust is not None:
+                _scale(rows[:m], self._trust.factors)
             code = solve(rows, m, self._place, _residual_limits(), point, used)
             if code == SOLVED:
                 self._place, self._place_s = point[P_POS : P_POS + 3].copy(), now
             if known or code != SOLVED:
                 break
+        if self._trust is not None and known and code in (SOLVED, FAULTY):
+            before, found = self._trust.factors.copy(), np.empty((2, SYSTEMS, 2))
+            scatter(rows, m, used, point, trimmed_mean(), found)
+            self._trust.learn(t_ns, found)
+            _scale(rows[:m], self._trust.factors / before)
         if not begun and code != SOLVED:
             self._place[:] = 0.0  # a beginning that led nowhere is none
         return self._finish(t_ns, now, rows[:m], sky[:m], used[:m], code, point, without)
@@ -195,7 +232,8 @@ class Receiver:
             text = "the receiver's clock jumped: it is found again"
             events = (Event(t_ns, "receiver-clock", text), *events)
         at = point if solved else None
-        return Prepared(t_ns, rows, sky, at, dop, excluded, without, events, let_go)
+        factors = _ONES if self._trust is None else self._trust.factors[0].copy()
+        return Prepared(t_ns, rows, sky, at, dop, excluded, without, events, factors, let_go)
 
     def _troubles(
         self, t_ns: int, now: float, contradicting: bool, without: dict[str, list[int]]
@@ -287,3 +325,11 @@ class Receiver:
         # What went out of sight is not news when it comes back.
         self._blamed = {s: why for s, why in (self._blamed | blamed).items() if s not in sats}
         return tuple(events)
+
+
+def _scale(rows: F64, factors: F64) -> None:
+    """Variances of corrected satellites times their systems' ``factors`` (2, SYSTEMS)."""
+    if (factors != 1.0).any():
+        system = rows[:, S_SYSTEM].astype(np.int64)
+        rows[:, S_RANGE_VAR] *= factors[0, system]
+        rows[:, S_RATE_VAR] *= factors[1, system]

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.config import Config
-from companion.gnss.corrected import S_RANGE_VAR, S_SAT
+from companion.estimation.adaptation.constellations import Constellations
+from companion.gnss.corrected import S_RANGE_VAR, S_SAT, S_SYSTEM
 from companion.gnss.receiver import Prepared, Receiver
 from companion.gnss.single_point import FIX_SIZE, as_fixes
 from companion.types import (
@@ -22,6 +23,7 @@ from companion.types import (
     I64,
     NO_SATELLITES,
     NS,
+    AdaptationTrace,
     AidingSamples,
     BroadcastSamples,
     Event,
@@ -37,11 +39,15 @@ SHORTEST_S, LONE_S = 0.01, 1.0
 """Between epochs: the least that is believed; what is taken for the first one."""
 
 
+NO_ADAPTATION = AdaptationTrace.empty()
+
+
 class Said(NamedTuple):
     """What a receiver's stream has to say beside its measurements."""
 
     events: tuple[Event, ...]
     satellites: Satellites
+    adaptation: AdaptationTrace = NO_ADAPTATION
 
 
 SILENT = Said((), NO_SATELLITES)
@@ -80,7 +86,9 @@ class RangeIntake:
     """Turns one receiver's raw stream into what the aid table takes."""
 
     def __init__(self, config: Config) -> None:
-        self.receiver = Receiver(config.raw_gnss)
+        fuzzy = config.adaptation.method == "fuzzy"
+        self._trust = Constellations(config) if fuzzy else None
+        self.receiver = Receiver(config.raw_gnss, self._trust)
         self._coupling = config.raw_gnss.coupling
         raw = config.raw_gnss
         total = raw.sd_range_m**2 + raw.sd_multipath_m**2
@@ -133,7 +141,10 @@ class RangeIntake:
             made.append(_fixes(fixes))
         if tight and any(len(p.rows) for p, _, _ in prepared):
             made.append(_ranges(prepared, [self._inflation(p.t_ns) for p, _, _ in prepared]))
-        return made, _said([p for p, _, _ in prepared])
+        said = _said([p for p, _, _ in prepared])
+        return made, said if self._trust is None else said._replace(
+            adaptation=self._trust.take_trace()
+        )
 
 
 def _stamps(arrival: RawGnssSamples, m: int) -> tuple[int, int, int]:
@@ -148,7 +159,9 @@ def _ranges(
     rows = np.concatenate([p.rows for p, _, _ in prepared])
     epoch = np.repeat(np.arange(len(prepared)), counts)
     rows = rows[np.lexsort((rows[:, S_SAT], epoch))]
-    rows[:, S_RANGE_VAR] *= np.array(inflation)[epoch]
+    # What a system scatters more than configured is taken for white: it is not inflated.
+    factors = np.stack([p.factors for p, _, _ in prepared])[epoch, rows[:, S_SYSTEM].astype(int)]
+    rows[:, S_RANGE_VAR] *= (np.array(inflation)[epoch] + factors - 1.0) / factors
     let_go = np.zeros(len(rows))
     first = np.cumsum(counts) - counts
     let_go[first[[p.let_go and n > 0 for (p, _, _), n in zip(prepared, counts, strict=True)]]] = 1.0

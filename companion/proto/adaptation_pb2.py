@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n companion/proto/adaptation.proto\x12\tcompanion\"\xad\x05\n\x0f\x41\x64\x61ptationTrace\x12\x0c\n\x04t_ns\x18\x01 \x01(\x10\x12\x33\n\x07\x63hannel\x18\x02 \x01(\x0e\x32\".companion.AdaptationTrace.Channel\x12\x0e\n\x06source\x18\x03 \x01(\x0f\x12-\n\x04rule\x18\x04 \x01(\x0e\x32\x1f.companion.AdaptationTrace.Rule\x12\x0c\n\x04mean\x18\x05 \x01(\x02\x12\x0e\n\x06spread\x18\x06 \x01(\x02\x12\x13\n\x0b\x63orrelation\x18\x07 \x01(\x02\x12\x10\n\x08to_model\x18\x08 \x01(\x02\x12\x11\n\tto_source\x18\t \x01(\x02\x12\x0e\n\x06\x66iring\x18\n \x03(\x02\x12\x0f\n\x07r_scale\x18\x0b \x01(\x01\x12\x0f\n\x07q_scale\x18\x0c \x01(\x01\x12\r\n\x05\x61lpha\x18\r \x01(\x01\"p\n\x07\x43hannel\x12\x13\n\x0fGNSS_POSITION_H\x10\x00\x12\x13\n\x0fGNSS_POSITION_V\x10\x01\x12\x13\n\x0fGNSS_VELOCITY_H\x10\x02\x12\x13\n\x0fGNSS_VELOCITY_V\x10\x03\x12\x08\n\x04\x42\x41RO\x10\x04\x12\x07\n\x03MAG\x10\x05\"\x8c\x02\n\x04Rule\x12\x0b\n\x07NO_RULE\x10\x00\x12\x18\n\x14SPREAD_LOW_MEAN_ZERO\x10\x01\x12\x19\n\x15SPREAD_LOW_MEAN_SMALL\x10\x02\x12\x19\n\x15SPREAD_LOW_MEAN_LARGE\x10\x03\x12\x1a\n\x16SPREAD_USUAL_MEAN_ZERO\x10\x04\x12\x1b\n\x17SPREAD_USUAL_MEAN_SMALL\x10\x05\x12\x1b\n\x17SPREAD_USUAL_MEAN_LARGE\x10\x06\x12\x19\n\x15SPREAD_HIGH_MEAN_ZERO\x10\x07\x12\x1a\n\x16SPREAD_HIGH_MEAN_SMALL\x10\x08\x12\x1a\n\x16SPREAD_HIGH_MEAN_LARGE\x10\tb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n companion/proto/adaptation.proto\x12\tcompanion\"\x93\x06\n\x0f\x41\x64\x61ptationTrace\x12\x0c\n\x04t_ns\x18\x01 \x01(\x10\x12\x33\n\x07\x63hannel\x18\x02 \x01(\x0e\x32\".companion.AdaptationTrace.Channel\x12\x0e\n\x06source\x18\x03 \x01(\x0f\x12-\n\x04rule\x18\x04 \x01(\x0e\x32\x1f.companion.AdaptationTrace.Rule\x12\x0c\n\x04mean\x18\x05 \x01(\x02\x12\x0e\n\x06spread\x18\x06 \x01(\x02\x12\x13\n\x0b\x63orrelation\x18\x07 \x01(\x02\x12\x10\n\x08to_model\x18\x08 \x01(\x02\x12\x11\n\tto_source\x18\t \x01(\x02\x12\x0e\n\x06\x66iring\x18\n \x03(\x02\x12\x0f\n\x07r_scale\x18\x0b \x01(\x01\x12\x0f\n\x07q_scale\x18\x0c \x01(\x01\x12\r\n\x05\x61lpha\x18\r \x01(\x01\"\xd5\x01\n\x07\x43hannel\x12\x13\n\x0fGNSS_POSITION_H\x10\x00\x12\x13\n\x0fGNSS_POSITION_V\x10\x01\x12\x13\n\x0fGNSS_VELOCITY_H\x10\x02\x12\x13\n\x0fGNSS_VELOCITY_V\x10\x03\x12\x08\n\x04\x42\x41RO\x10\x04\x12\x07\n\x03MAG\x10\x05\x12\r\n\tRANGE_GPS\x10\x12\x12\x11\n\rRANGE_GALILEO\x10\x13\x12\x10\n\x0cRANGE_BEIDOU\x10\x14\x12\x0c\n\x08RATE_GPS\x10\x15\x12\x10\n\x0cRATE_GALILEO\x10\x16\x12\x0f\n\x0bRATE_BEIDOU\x10\x17\"\x8c\x02\n\x04Rule\x12\x0b\n\x07NO_RULE\x10\x00\x12\x18\n\x14SPREAD_LOW_MEAN_ZERO\x10\x01\x12\x19\n\x15SPREAD_LOW_MEAN_SMALL\x10\x02\x12\x19\n\x15SPREAD_LOW_MEAN_LARGE\x10\x03\x12\x1a\n\x16SPREAD_USUAL_MEAN_ZERO\x10\x04\x12\x1b\n\x17SPREAD_USUAL_MEAN_SMALL\x10\x05\x12\x1b\n\x17SPREAD_USUAL_MEAN_LARGE\x10\x06\x12\x19\n\x15SPREAD_HIGH_MEAN_ZERO\x10\x07\x12\x1a\n\x16SPREAD_HIGH_MEAN_SMALL\x10\x08\x12\x1a\n\x16SPREAD_HIGH_MEAN_LARGE\x10\tb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -32,9 +32,9 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'companion.proto.adaptation_
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_ADAPTATIONTRACE']._serialized_start=48
-  _globals['_ADAPTATIONTRACE']._serialized_end=733
-  _globals['_ADAPTATIONTRACE_CHANNEL']._serialized_start=350
-  _globals['_ADAPTATIONTRACE_CHANNEL']._serialized_end=462
-  _globals['_ADAPTATIONTRACE_RULE']._serialized_start=465
-  _globals['_ADAPTATIONTRACE_RULE']._serialized_end=733
+  _globals['_ADAPTATIONTRACE']._serialized_end=835
+  _globals['_ADAPTATIONTRACE_CHANNEL']._serialized_start=351
+  _globals['_ADAPTATIONTRACE_CHANNEL']._serialized_end=564
+  _globals['_ADAPTATIONTRACE_RULE']._serialized_start=567
+  _globals['_ADAPTATIONTRACE_RULE']._serialized_end=835
 # @@protoc_insertion_point(module_scope)

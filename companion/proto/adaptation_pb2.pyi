@@ -16,12 +16,24 @@ class AdaptationTrace(_message.Message):
         GNSS_VELOCITY_V: _ClassVar[AdaptationTrace.Channel]
         BARO: _ClassVar[AdaptationTrace.Channel]
         MAG: _ClassVar[AdaptationTrace.Channel]
+        RANGE_GPS: _ClassVar[AdaptationTrace.Channel]
+        RANGE_GALILEO: _ClassVar[AdaptationTrace.Channel]
+        RANGE_BEIDOU: _ClassVar[AdaptationTrace.Channel]
+        RATE_GPS: _ClassVar[AdaptationTrace.Channel]
+        RATE_GALILEO: _ClassVar[AdaptationTrace.Channel]
+        RATE_BEIDOU: _ClassVar[AdaptationTrace.Channel]
     GNSS_POSITION_H: AdaptationTrace.Channel
     GNSS_POSITION_V: AdaptationTrace.Channel
     GNSS_VELOCITY_H: AdaptationTrace.Channel
     GNSS_VELOCITY_V: AdaptationTrace.Channel
     BARO: AdaptationTrace.Channel
     MAG: AdaptationTrace.Channel
+    RANGE_GPS: AdaptationTrace.Channel
+    RANGE_GALILEO: AdaptationTrace.Channel
+    RANGE_BEIDOU: AdaptationTrace.Channel
+    RATE_GPS: AdaptationTrace.Channel
+    RATE_GALILEO: AdaptationTrace.Channel
+    RATE_BEIDOU: AdaptationTrace.Channel
     class Rule(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         NO_RULE: _ClassVar[AdaptationTrace.Rule]

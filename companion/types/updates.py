@@ -113,7 +113,10 @@ class Rule(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class AdaptationTrace(Rows):
-    """Why a measurement was trusted as it was: one row an adapted update, as columns."""
+    """Why a measurement was trusted as it was: one row an adapted update, as columns.
+
+    Of ranges: one row an epoch and satellite system, told by what is left over in it.
+    """
 
     t_ns: I64
     channel: I64
@@ -136,9 +139,10 @@ class AdaptationTrace(Rows):
     r_scale: F64
     """(N,) factor on R of this measurement."""
     q_scale: F64
-    """(N,) factor on the noise of the inertial unit from here on."""
+    """(N,) factor on the noise of the inertial unit from here on; NaN of the ranges of a satellite
+    system, which have no say in it."""
     alpha: F64
-    """(N,) exponential weight of the epoch (FLAC); 1 without."""
+    """(N,) exponential weight of the epoch (FLAC); 1 without, NaN as above."""
 
     @property
     def rule(self) -> I64:

@@ -30,8 +30,11 @@ def adaptation(run: RunView) -> Panel | None:
 
 
 def _r(run: RunView) -> Chart | None:
-    """The factor on R of each channel that had another than 1, from the reports themselves."""
-    reports = run.reports
+    """The factor on R of each channel that had another than 1, from the reports themselves.
+
+    Of ranges from the trace: they come to the filter with the factor in their variance.
+    """
+    reports, trace = run.reports, run.adaptation
     lines = []
     for channel in Channel:
         rows = np.flatnonzero((reports.channel == channel) & (reports.dof > 0))
@@ -40,6 +43,11 @@ def _r(run: RunView) -> Chart | None:
             table = Table(reports.t_ns[rows], run)
             name = spoken(channel)
             lines.append(table.of([table.line(name, name, reports.scale[rows])]))
+        told = np.flatnonzero((trace.channel == channel) & (channel >= Channel.RANGE_GPS))
+        if len(told) and np.any(np.abs(trace.r_scale[told] - 1.0) > _NOTHING):
+            table = Table(trace.t_ns[told], run)
+            name = spoken(channel)
+            lines.append(table.of([table.line(name, name, trace.r_scale[told])]))
     title = "Factor on the measurement's variance R"
     return Chart(title, "", tuple(lines), logarithmic=True) if lines else None
 
@@ -48,9 +56,10 @@ def _one(run: RunView, name: str) -> Chart | None:
     """The factor on Q, or α: one for all channels, by the last one in each epoch."""
     trace = run.adaptation
     values: F64 = getattr(trace, name)
-    if not len(trace) or not np.any(np.abs(values - 1.0) > _NOTHING):
+    if not np.any(np.abs(values - 1.0) > _NOTHING):
         return None
-    order = np.argsort(trace.t_ns, kind="stable")
+    said = np.flatnonzero(np.isfinite(values))
+    order = said[np.argsort(trace.t_ns[said], kind="stable")]
     t_ns = trace.t_ns[order]
     last = order[np.append(np.diff(t_ns) > 0, True)]
     table = Table(trace.t_ns[last], run)

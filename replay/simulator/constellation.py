@@ -164,6 +164,16 @@ class SatelliteFault:
 
 
 @dataclass(frozen=True, slots=True)
+class SystemNoise:
+    """White noise of all ranges and rates of a system, ``factor`` times what it is otherwise."""
+
+    system: int
+    start_s: float
+    end_s: float
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
 class Sky:
     """What a receiver is given and what it measured."""
 
@@ -188,6 +198,7 @@ def observe(
     system_bias_m: tuple[float, float, float] = (0.0, 6.0, -9.0),
     clock_m: tuple[float, float] = (3_000.0, 40.0),
     faults: tuple[SatelliteFault, ...] = (),
+    noises: tuple[SystemNoise, ...] = (),
     air: float = 1.0,
 ) -> Sky:
     """Measurements at ``t_ns`` (N,) of a receiver at ``ecef_pos_vel`` (N, 6) [m, m/s].
@@ -209,9 +220,10 @@ def observe(
         math.radians(mask_deg), air, ranges, rates, elevations,
     )  # fmt: skip
     low = 1.0 / np.sin(np.nan_to_num(elevations, nan=1.0))
-    ranges += rng.normal(0, sd_range_m, shape) * low
-    rates += rng.normal(0, sd_rate_mps, shape)
     sats = table[:, E_SAT].astype(np.int64)
+    louder = _louder(seconds - first, sats, noises)
+    ranges += rng.normal(0, sd_range_m, shape) * low * louder
+    rates += rng.normal(0, sd_rate_mps, shape) * louder
     for k, sat in enumerate(sats.tolist()):
         ranges[:, k] += system_bias_m[sat // 100 - 1]
         for fault in faults:
@@ -223,6 +235,15 @@ def observe(
     # The receiver stamps by its own clock, which its pseudoranges hold as well.
     stamped = seconds + clock[:, 0] / C
     return Sky(_broadcast(t_ns, table), _columns(t_ns, week, stamped, sats, ranges, rates), clock)
+
+
+def _louder(t: F64, sats: I64, noises: tuple[SystemNoise, ...]) -> F64:
+    """(N, S) factor on white noise at ``t`` (N,) [s] since the first epoch."""
+    factor = np.ones((len(t), len(sats)))
+    for noise in noises:
+        during = (t >= noise.start_s) & (t < noise.end_s)
+        factor[np.ix_(during, sats // 100 - 1 == noise.system)] *= noise.factor
+    return factor
 
 
 def _slow(rng: np.random.Generator, shape: tuple[int, int], dt: F64, tau: float) -> F64:

@@ -37,7 +37,8 @@ def _run(sky: Sky, config: RawGnss | None = None) -> list[Prepared]:
     return [receiver.take(sky.raw, i) for i in range(len(sky.raw))]
 
 
-def _sky(seconds: int, seed: int = 1, **kw: object) -> Sky:
+def sky_of(seconds: int, seed: int = 1, **kw: object) -> Sky:
+    """What a receiver on that flight measures, an epoch a second."""
     t = np.arange(seconds, dtype=np.int64) * NS
     return observe(t, _flight(seconds), np.random.default_rng(seed), **kw)  # type: ignore[arg-type]
 
@@ -49,7 +50,7 @@ def _points(prepared: list[Prepared]) -> F64:
 
 
 def test_without_noise_the_place_is_exact_by_the_other_way_of_correcting() -> None:
-    sky = _sky(30, sd_range_m=0.0, sd_rate_mps=0.0)
+    sky = sky_of(30, sd_range_m=0.0, sd_rate_mps=0.0)
     points, truth = _points(_run(sky)), _flight(30)
     # Sagnac's closed form is first order: 1e-4 m. Rates are taken at reception, not transmission:
     # (range rate)² / c = 2 mm/s.
@@ -62,7 +63,7 @@ def test_without_noise_the_place_is_exact_by_the_other_way_of_correcting() -> No
 
 def test_errors_of_many_epochs_fit_the_stated_covariance() -> None:
     config = RawGnss(sd_range_m=0.7, sd_multipath_m=0.0, iono_residual=0.0)
-    points, truth = _points(_run(_sky(400), config)), _flight(400)
+    points, truth = _points(_run(sky_of(400), config)), _flight(400)
     error = points[:, P_POS : P_POS + 3] - truth[:, :3]
     P = points[:, P_COV : P_COV + 9].reshape(-1, 3, 3)
     nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)
@@ -72,7 +73,7 @@ def test_errors_of_many_epochs_fit_the_stated_covariance() -> None:
 
 def test_a_step_of_one_satellite_is_excluded_while_it_lasts() -> None:
     fault = SatelliteFault(107, 20.0, 40.0, step_m=100.0)
-    prepared = _run(_sky(60, faults=(fault,)))
+    prepared = _run(sky_of(60, faults=(fault,)))
     excluded = [set(p.excluded) for p in prepared]
     assert all(107 in e for e in excluded[20:40])
     assert not any(107 in e for e in excluded[:20] + excluded[40:])
@@ -83,7 +84,7 @@ def test_a_step_of_one_satellite_is_excluded_while_it_lasts() -> None:
 
 
 def test_best_four_are_used_and_a_change_of_set_is_an_event() -> None:
-    sky = _sky(300, systems=(0,))
+    sky = sky_of(300, systems=(0,))
     prepared = _run(sky, RawGnss(choice="best", best_of=4))
     sets = [frozenset(p.rows[:, S_SAT].astype(int).tolist()) for p in prepared]
     assert {len(s) for s in sets} == {4}
@@ -95,7 +96,7 @@ def test_best_four_are_used_and_a_change_of_set_is_an_event() -> None:
 
 
 def test_steps_of_the_clock_are_taken_off_with_many_satellites_and_with_two() -> None:
-    sky = _sky(40)
+    sky = sky_of(40)
     jump = np.where(np.arange(40) >= 20, STEP_M, 0.0)[:, None]
     stepped = replace(
         sky.raw,
@@ -123,7 +124,7 @@ def test_steps_of_the_clock_are_taken_off_with_many_satellites_and_with_two() ->
 
 
 def test_rubbish_gives_no_place_rather_than_a_wrong_one() -> None:
-    sky = _sky(10)
+    sky = sky_of(10)
     rng = np.random.default_rng(2)
     rubbish = replace(sky.raw, pseudorange=rng.uniform(2e7, 2.6e7, sky.raw.pseudorange.shape))
     receiver = Receiver(RawGnss())

@@ -94,7 +94,8 @@ class History:
         for channel, adapted in v.adaptation.items():
             if now_ns - adapted.last_ns < 3 * NS:
                 row[f"r.{channel.name.lower()}"] = adapted.r_scale
-                row["q"] = adapted.q_scale
+                if math.isfinite(adapted.q_scale):
+                    row["q"] = adapted.q_scale
         self.rows.append((number, {k: _short(x) for k, x in row.items() if math.isfinite(x)}))
 
 
