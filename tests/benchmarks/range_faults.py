@@ -1,6 +1,6 @@
 """Single-satellite faults under multipath: what is missed, what is refused without reason, clock.
 
-Run as ``python -m tests.benchmarks.range_faults [--seeds N]``. Flights of 100 s under two systems
+Run as ``python -m tests.benchmarks.range_faults [--seeds N] [--adaptation METHOD]``. Flights of 100 s under two systems
 at 5 Hz; ranges with 0.7 m of white noise and 0.7 m of multipath (τ 60 s) at the zenith, growing
 as 1/sin of the elevation. One satellite errs from 50 to 90 s. Missed: ranges fused with an error
 beyond 20 m. False: ranges of healthy satellites that were refused.
@@ -12,6 +12,7 @@ import argparse
 
 import numpy as np
 
+from companion.config.adaptation import METHODS
 from tests.consistency.runs import mean_bounds
 from tests.tight.faults import KINDS, MULTIPATH_M, Outcome, fly
 
@@ -36,7 +37,9 @@ def _cells(done: list[Outcome]) -> tuple[str, ...]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=50)
-    seeds = parser.parse_args().seeds
+    parser.add_argument("--adaptation", default="none", choices=METHODS)
+    asked = parser.parse_args()
+    seeds = asked.seeds
     head = ("fault", "flights", "missed", "refused from m, median, worst", "false of healthy",
             "position m, median, worst", "clock NEES")  # fmt: skip
     print("".join(f"{name:>{width}}" for name, width in zip(head, WIDTHS, strict=True)))
@@ -44,7 +47,7 @@ def main() -> None:
     done: dict[tuple[str, float], list[Outcome]] = {row: [] for row in rows}
     for seed in range(seeds):
         for row in rows:
-            done[row].append(fly(seed, *row))
+            done[row].append(fly(seed, *row, asked.adaptation))
     for (kind, multipath), outcomes in done.items():
         words = kind if multipath else "none, white"
         cells = (words, f"{seeds}", *_cells(outcomes))

@@ -20,8 +20,10 @@ from companion.config import Config, RawGnss, parse
 from companion.gnss.corrected import S_SAT
 from companion.gnss.receiver import Receiver
 from companion.navigation.earth import ned_difference
+from companion.smoothing.offline import smooth
 from companion.types import F64, I64, NS, Outputs, RawGnssSamples, Solution, VehicleRecording
 from replay.player import play
+from replay.recorded import record
 from tests.benchmarks.walk_recording import CONFIG, walk
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rtk-walk"
@@ -31,6 +33,8 @@ STARTS_S = tuple(float(t) for t in range(40, 101, 10))
 LENGTHS_S = (10.0, 20.0, 30.0)
 LEFT = (3, 2, 1, 0)
 OPEN_S = 30.0
+NAMES = ("loose", "tight", "smoothed")
+"""The last: tight, smoothed."""
 
 
 def highest(vehicle: VehicleRecording, t_ns: int, count: int) -> I64:
@@ -54,8 +58,8 @@ def withheld(vehicle: VehicleRecording, begin: int, end: int, keep: I64) -> Vehi
     return replace(vehicle, raw=(part,))
 
 
-def errors(vehicle: VehicleRecording, config: Config) -> tuple[I64, F64]:
-    """Times and NED errors (N, 3) [m] of the published solution."""
+def published(vehicle: VehicleRecording, config: Config) -> Solution:
+    """What a user had at the time."""
     parts: list[Solution] = []
 
     def keep(_: object, out: Outputs) -> None:
@@ -63,7 +67,18 @@ def errors(vehicle: VehicleRecording, config: Config) -> tuple[I64, F64]:
             parts.append(out.published)
 
     play(vehicle, config, keep)
-    s, truth = Solution.concatenate(parts), vehicle.truth
+    return Solution.concatenate(parts)
+
+
+def smoothed(vehicle: VehicleRecording, config: Config) -> Solution:
+    """The same from all measurements, by Bryson-Frazier."""
+    run = record(vehicle, config, rate_hz=10.0)
+    return smooth(run.tapes, run.config)
+
+
+def errors(vehicle: VehicleRecording, s: Solution) -> tuple[I64, F64]:
+    """Times and NED errors (N, 3) [m] of a solution."""
+    truth = vehicle.truth
     assert truth is not None
     known = (s.t_ns >= truth.t_ns[0]) & (s.t_ns <= truth.t_ns[-1])
     s = s.take(np.flatnonzero(known))
@@ -75,19 +90,25 @@ def main() -> None:
     vehicle = walk(DATA)
     origin = int(vehicle.imu[0].t_ns[0])
     configs = {name: parse(CONFIG.format(coupling=name)) for name in ("loose", "tight")}
+
+    def solution(name: str, part: VehicleRecording) -> Solution:
+        if name == "smoothed":
+            return smoothed(part, configs["tight"])
+        return published(part, configs[name])
+
     offset: dict[str, F64] = {}
     print("In the open, about the mean (the base station's offset)")
-    print(f"{'':8}{'offset N E D m':>24}{'horizontal RMS m':>18}{'3-D RMS m':>12}")
-    for name, config in configs.items():
-        t, e = errors(vehicle, config)
+    print(f"{'':9}{'offset N E D m':>24}{'horizontal RMS m':>18}{'3-D RMS m':>12}")
+    for name in NAMES:
+        t, e = errors(vehicle, solution(name, vehicle))
         late = t > origin + round(OPEN_S * NS)
         offset[name] = e[late].mean(axis=0)
         d = e[late] - offset[name]
         h, r = np.sqrt((d[:, :2] ** 2).sum(1).mean()), np.sqrt((d**2).sum(1).mean())
         place = " ".join(f"{x:.2f}" for x in offset[name])
-        print(f"{name:8}{place:>24}{h:18.2f}{r:12.2f}")
+        print(f"{name:9}{place:>24}{h:18.2f}{r:12.2f}")
     print("\nSatellites withheld: largest and RMS horizontal error inside, mean over the windows")
-    head = "".join(f"{f'{n} max':>12}{f'{n} RMS':>12}" for n in configs)
+    head = "".join(f"{f'{n} max':>14}{f'{n} RMS':>14}" for n in NAMES)
     print(f"{'left':>5}{'for s':>7}{'windows':>9}{head}   tight better in")
 
     @cache
@@ -96,7 +117,7 @@ def main() -> None:
         begin = origin + round(start * NS)
         end = begin + round(length * NS)
         part = withheld(vehicle, begin, end, highest(vehicle, begin, left))
-        t, e = errors(part, configs[name])
+        t, e = errors(part, solution(name, part))
         inside = (t >= begin) & (t < end)
         h = np.hypot(*(e[inside] - offset[name])[:, :2].T)
         return float(h.max()), float(np.sqrt((h**2).mean()))
@@ -107,6 +128,7 @@ def main() -> None:
             found = {
                 "loose": [worst("loose", start, length, 0) for start in STARTS_S],
                 "tight": [worst("tight", start, length, left) for start in STARTS_S],
+                "smoothed": [worst("smoothed", start, length, left) for start in STARTS_S],
             }
             mean = {n: np.mean(v, axis=0) for n, v in found.items()}
             lost = [
@@ -117,7 +139,7 @@ def main() -> None:
             wins = f"{len(STARTS_S) - len(lost)} of {len(STARTS_S)}"
             if lost:
                 wins += f"; not from {', '.join(lost)}"
-            cells = "".join(f"{m[0]:12.2f}{m[1]:12.2f}" for m in mean.values())
+            cells = "".join(f"{m[0]:14.2f}{m[1]:14.2f}" for m in mean.values())
             print(f"{left:5d}{length:7.0f}{len(STARTS_S):9d}{cells}   {wins}")
             sys.stdout.flush()
 
