@@ -125,7 +125,7 @@ def _leave_out_worst(
             N[i, j] += gain[i] * gain[j] / left
 
 
-@njit("void(f8[:, ::1], i8, i8[::1], f8[::1], f8[::1], f8[:, :, ::1])", cache=True)
+@njit("void(f8[:, ::1], i8, i8[::1], f8[::1], f8[::1], f8[:, :, ::1])", cache=True, entry=True)
 def scatter(rows: F64, m: int, used: I64, point: F64, expected: F64, found: F64) -> None:
     """Fill ``found`` (2, SYSTEMS, 2) of range and rate: v·ν and ν of each system, zeros without.
 

@@ -1,9 +1,9 @@
 """Single-satellite faults under multipath: what is missed, what is refused without reason, clock.
 
-Run as ``python -m tests.benchmarks.range_faults [--seeds N] [--adaptation METHOD]``. Flights of 100 s under two systems
-at 5 Hz; ranges with 0.7 m of white noise and 0.7 m of multipath (τ 60 s) at the zenith, growing
-as 1/sin of the elevation. One satellite errs from 50 to 90 s. Missed: ranges fused with an error
-beyond 20 m. False: ranges of healthy satellites that were refused.
+Run as ``python -m tests.benchmarks.range_faults [--seeds N] [--adaptation METHOD]``. Flights of
+100 s under two systems at 5 Hz; ranges with 0.7 m of white noise and 0.7 m of multipath (τ 60 s) at
+the zenith, growing as 1/sin of the elevation. One satellite errs from 50 to 90 s. Missed: ranges
+fused with an error beyond 20 m. False: ranges of healthy satellites that were refused.
 """
 
 from __future__ import annotations

@@ -42,6 +42,7 @@ _LONE_S = 1.0
 @njit(
     "void(f8[:, :, ::1], f8[:, :, ::1], i8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
     cache=True,
+    entry=True,
 )
 def judge(
     found: F64, rings: F64, at: I64, fresh: F64, a: F64, factors: F64, traces: F64
