@@ -21,6 +21,7 @@ READABLE = (
     "or a sensor folder with imu.csv"
 )
 
+_RAW_GNSS = "it belongs into raw_gnss/ of a sensor folder, beside imu.csv"
 _MAGIC = (
     (b"\x89MCAP", "mcap"),
     (b"ULog\x01\x12\x35", "ulog"),
@@ -29,7 +30,7 @@ _MAGIC = (
     (b"\x1f\x8b", "gzip-compressed data; unpack it first"),
     (b"MATLAB 5.0", "a MATLAB file"),
     (b"\x89HDF", "an HDF5 file"),
-    (b"\xb5\x62", "u-blox UBX data"),
+    (b"\xb5\x62", f"u-blox UBX data; {_RAW_GNSS}"),
     (b"\x89PNG", "an image"),
 )
 _SUFFIXES = {
@@ -44,7 +45,10 @@ _SUFFIXES = {
     ".mat": "a MATLAB file",
     ".csv": "a bare CSV file; give the sensor folder that holds it",
     ".zip": "a zip archive; unpack it first",
-    ".ubx": "u-blox UBX data",
+    ".ubx": f"u-blox UBX data; {_RAW_GNSS}",
+    ".rtcm3": f"RTCM 3 data; {_RAW_GNSS}",
+    ".rtcm": f"RTCM 3 data; {_RAW_GNSS}",
+    ".rtc": f"RTCM 3 data; {_RAW_GNSS}",
     ".dbc": "a CAN database",
     ".log": "a text log",
     ".gz": "gzip-compressed data; unpack it first",
@@ -72,6 +76,10 @@ def _kind(path: Path) -> str:
     for magic, kind in _MAGIC:
         if head.startswith(magic):
             return kind
+    if head[60:80] == b"RINEX VERSION / TYPE":
+        return f"a RINEX file; {_RAW_GNSS}"
+    if b"# Raw,utcTimeMillis," in head:
+        return f"a GnssLogger file; {_RAW_GNSS}"
     suffix = _SUFFIXES.get(path.suffix.lower())
     if suffix is not None:
         return suffix

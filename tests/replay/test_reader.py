@@ -88,3 +88,25 @@ def test_real_logs_read_or_refuse(data_dir: Path) -> None:
                 assert (np.diff(imu.t_ns) > 0).all()
     assert not [text for text in refusals if "\n" in text]
     assert read > 25
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "what"),
+    [
+        (
+            "a.obs",
+            f"{'     3.03           OBSERVATION DATA':60}RINEX VERSION / TYPE\n".encode(),
+            "RINEX",
+        ),
+        ("a.txt", b"# \n# Raw,utcTimeMillis,TimeNanos\n", "GnssLogger"),
+        ("a.rtcm3", b"\xd3\x00\x13", "RTCM 3"),
+        ("a.dat", b"\xb5\x62\x02\x15", "u-blox"),
+    ],
+)
+def test_raw_gnss_by_itself_is_told_where_it_belongs(
+    tmp_path: Path, name: str, data: bytes, what: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(LogFormatError, match=f"{what}.*raw_gnss/ of a sensor folder"):
+        read_log([path])
