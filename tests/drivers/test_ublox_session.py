@@ -10,6 +10,7 @@ import pytest
 from companion.gnss.orbit import E_SAT
 from companion.types import NS, BroadcastSamples, GnssSamples, RawGnssSamples
 from drivers.receiver_session import receiver_session
+from drivers.ublox.decoder import UbxDecoder
 from replay.simulator.constellation import ephemerides
 from replay.simulator.live import ubx
 
@@ -81,3 +82,10 @@ def test_the_receivers_own_fix_needs_no_raw_measurements(raw_first: bool) -> Non
     assert np.allclose(fix.vel_n[0], vel)
     assert fix.fix_type[0] == 3
     assert fix.t_ns[0] == RUN_NS + NS // 5 if not raw_first else abs(fix.t_ns[0] - RUN_NS) < NS
+
+
+@pytest.mark.parametrize("tow", [604_799.0, 0.0, 5.0, 17.0, 18.0, 30.0])
+def test_a_fix_has_the_right_week_while_utc_is_still_in_the_week_before(tow: float) -> None:
+    """Its date is UTC, 18 s behind: it turns to Sunday when the second of week is 18 already."""
+    found = UbxDecoder().feed(ubx.nav_pvt(WEEK, tow, np.ones(3), np.ones(3), (1.0, 2.0, 0.3)))
+    assert [int(s.t_ns[0]) for s in found] == [round((WEEK * 604_800 + tow) * NS)]
