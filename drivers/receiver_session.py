@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, WEEK_S, leap_seconds, week_and_tow
+from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, WEEK_S, gps_ns, leap_seconds, week_and_tow
 from companion.types import NS, BroadcastSamples, GnssSamples, RawGnssSamples
 from drivers.can_imu.clock import SensorClock
 from drivers.rtcm.decoder import UNKNOWN, RtcmDecoder
@@ -22,6 +22,10 @@ ReceiverSamples = RawGnssSamples | BroadcastSamples | GnssSamples
 UBLOX, RTCM = "UBLOX", "RTCM"
 """Names of their streams in the log and for ``gnss.source`` and ``raw_gnss.source``."""
 BACK_NS = 2 * NS
+SILENCE_NS = 3_600 * NS
+"""After a pause as long as this, the week is where the arrival clock has gone on to."""
+RTCM_SINCE_S = 2048 * WEEK_S
+"""April 2019: a clock of before was never set, or belongs to a recording without dates."""
 
 
 class ReceiverSession:
@@ -81,6 +85,7 @@ class RtcmSession(ReceiverSession):
 
     def __init__(self, source: str = RTCM) -> None:
         self._rtcm = RtcmDecoder(source)
+        self._heard_ns: int | None = None
         super().__init__(self._rtcm)
 
     def feed(self, seq: int, t_rx_ns: int, data: bytes) -> Sequence[ReceiverSamples]:
@@ -90,6 +95,10 @@ class RtcmSession(ReceiverSession):
             # A clock that never was set tells less than nothing.
             if gps_s > RTCM_SINCE_S:
                 self._rtcm.near = week_and_tow((gps_s + leap_seconds(gps_s)) * NS)
+        elif self._heard_ns is not None and t_rx_ns - self._heard_ns > SILENCE_NS:
+            # Half a week later, the nearest to the epoch before would be another one.
+            self._rtcm.near = week_and_tow(gps_ns(*self._rtcm.near) + t_rx_ns - self._heard_ns)
+        self._heard_ns = t_rx_ns
         return super().feed(seq, t_rx_ns, data)
 
     @property
@@ -97,10 +106,6 @@ class RtcmSession(ReceiverSession):
         """What came, by name; of other stations, and too late for its epoch, beside."""
         assembly = self._rtcm.assembly
         return {**super().counters, "other_station": assembly.foreign, "late": assembly.late}
-
-
-RTCM_SINCE_S = 2048 * WEEK_S
-"""Before April 2019 this did not exist."""
 
 
 def receiver_session(protocol: str) -> ReceiverSession:

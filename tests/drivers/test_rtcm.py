@@ -219,6 +219,16 @@ def test_a_computer_without_the_time_gets_it_from_the_ephemerides() -> None:
         assert weeks[3:] == [WEEK] * 17
 
 
+def test_a_receiver_that_was_silent_for_days_comes_back_in_the_right_week() -> None:
+    session, rx = RtcmSession(), (315_964_800 + WEEK * 604_800 + 200_000) * NS
+    session.feed(0, rx, _epoch(TOW))
+    for days in (3, 5, 8):
+        later = TOW + days * 86_400.0
+        [raw] = session.feed(1, rx + days * 86_400 * NS, _epoch(later % 604_800.0))
+        assert isinstance(raw, RawGnssSamples)
+        assert raw.week[0] == WEEK + later // 604_800.0
+
+
 # --------------------------------------------------------------------------- bad streams
 
 
