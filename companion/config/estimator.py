@@ -72,7 +72,7 @@ class Imu(Section):
 
 
 class FurtherImu(Section):
-    """One more inertial unit beside the first, with the same noise figures."""
+    """One more inertial unit beside the first, as noisy as that unless something else is said."""
 
     source: str
     """Stream name, such as ``imu2``."""
@@ -91,6 +91,11 @@ class FurtherImu(Section):
     """Full scale [deg/s]; 0: not known."""
     accel_range_mps2: float = 0.0
     """The same for the accelerometer [m/s²]."""
+    gyro_noise_dps_rthz: float | None = None
+    """Gyro noise density [deg/s/√Hz]; absent: as the first unit's. Of two units, nothing measured
+    says whose the noise is: how they are weighed is what is said here and of the first."""
+    accel_noise_mps2_rthz: float | None = None
+    """The same for the accelerometer [m/s²/√Hz]."""
 
 
 class ImuFusion(Section):

@@ -22,6 +22,13 @@ def check_units(first: Imu, units: Sequence[FurtherImu], fusion: ImuFusion) -> N
         if further.latency_ms is not None:
             within(f"{key}.latency_ms", further.latency_ms, 0.0, 500.0, "milliseconds")
         _ranges(key, further)
+        for name, unit in (
+            ("gyro_noise_dps_rthz", "deg/s/√Hz"),
+            ("accel_noise_mps2_rthz", "m/s²/√Hz"),
+        ):
+            noise = getattr(further, name)
+            if noise is not None:
+                positive(f"{key}.{name}", noise, unit)
     sources = [unit.source for unit in units]
     if len(set(sources)) < len(sources):
         raise ConfigError(f"key 'further_imu': each source once, got {', '.join(sources)}")

@@ -6,7 +6,9 @@ Every stream of a log at 4 Hz, as a ground station has it; then all of them sile
 minute. Outages of a flight's own GNSS, 10 to 60 s in the SITL flights, are judged apart: there the
 autopilot has its IMU at full rate, and on the plane an airspeed. The filter has the inertial
 samples, fixes, pressure and ATTITUDE of the telemetry; it is compared with GLOBAL_POSITION_INT of
-the same telemetry, held, or carried on with its velocity.
+the same telemetry, held, or carried on with its velocity. *Straight on*: the filter's own place and
+velocity at the time of the last GLOBAL_POSITION_INT, carried on as that is: what it loses against
+*carried on* is its velocity, and what it gains over the filter is the model of acceleration.
 """
 
 from __future__ import annotations
@@ -109,6 +111,18 @@ def of_autopilot(ref: ReferenceSamples, t_ns: I64, *, carried: bool) -> Way:
     return Way(t_ns, lat, ref.lon[last] + ref.vel_n[last, 1] * ahead / radius / np.cos(lat))
 
 
+def straight_on(ours: Solution, ref: ReferenceSamples) -> Way:
+    """Our epochs from our last state before the last position of the autopilot that had arrived."""
+    last = np.searchsorted(ref.t_rx_ns, ours.t_ns, side="right") - 1
+    at = np.searchsorted(ours.t_ns, ref.t_ns[last.clip(0)], side="right") - 1
+    good = (last >= 0) & (at >= 0)
+    t_ns, at = ours.t_ns[good], at[good]
+    ahead = (t_ns - ours.t_ns[at]) / NS
+    radius = 6_371_000.0
+    lat = ours.lat[at] + ours.vel_n[at, 0] * ahead / radius
+    return Way(t_ns, lat, ours.lon[at] + ours.vel_n[at, 1] * ahead / radius / np.cos(lat))
+
+
 def errors(way: Way, truth: ReferenceSamples) -> tuple[I64, F64]:
     """Times and horizontal errors [m] at the epochs of ``way`` that the truth spans."""
     t = truth.t_ns
@@ -141,6 +155,7 @@ def examine(path: Path, *, gaps: bool) -> list[str]:
     ours = result.solution.take(np.flatnonzero(result.solution.mode >= 2))
     ways = {
         "direct filter": of_solution(ours),
+        "straight on": straight_on(ours, vehicle.autopilot),
         "held": of_autopilot(vehicle.autopilot, ours.t_ns, carried=False),
         "carried on": of_autopilot(vehicle.autopilot, ours.t_ns, carried=True),
     }

@@ -14,7 +14,7 @@ from companion.intake.counters import Counters
 from companion.intake.fused import FusedImu
 from companion.intake.fusion import layout as lo
 from companion.intake.fusion.fusion import ImuFusion
-from companion.intake.fusion.judge import note_pull, undo
+from companion.intake.fusion.judge import noise_of, note_pull, undo
 from companion.types import NS, Event, ImuSamples
 from replay.simulator.simulation import run
 
@@ -257,3 +257,18 @@ def test_what_an_excluded_unit_did_to_the_mean_is_taken_back() -> None:
     assert common[lo.PULLED + 1] == 0.0
     assert terms[:, 2, 0].tolist() == [0.0, -0.02, 0.0]
     assert not s[1, lo.PULL : lo.MOVED + 6].any()
+
+
+def test_two_units_are_weighed_as_their_datasheets_say() -> None:
+    """What both share in noise is 4; claimed as 1 to 3, so 1 and 3 it is."""
+    pairs = np.zeros((2, 2, 2, 2))
+    pairs[0, 0] = [[0.0, 4.0], [4.0, 0.0]]
+    unit, out = np.zeros((2, lo.PAR_SIZE)), np.empty(2)
+    unit[:, lo.VAR_0] = 1.0, 3.0
+    noise_of(np.ones(2, np.int64), unit, 0, 0, pairs, out)
+    assert out.tolist() == [1.0, 3.0]
+    said = FurtherImu(source="imu2", gyro_noise_dps_rthz=0.5)
+    base = Config(further_imu=(said,))
+    ours = ImuFusion(base, Counters())._parameters[:, lo.VAR_0 : lo.VAR_0 + 2]
+    assert ours[1, 0] / ours[0, 0] == pytest.approx((0.5 / base.imu.gyro_noise_dps_rthz) ** 2)
+    assert ours[1, 1] == ours[0, 1]

@@ -76,8 +76,12 @@ def units(config: Config) -> F64:
     table = np.zeros((1 + len(config.further_imu), UNIT_COLUMNS))
     for row, unit in zip(table, (None, *config.further_imu), strict=True):
         row[U_LEVER : U_LEVER + 3] = unit.lever_arm_b_m if unit is not None else 0.0
-        row[U_GYRO_PSD] = (config.imu.gyro_noise_dps_rthz * DEG) ** 2
-        row[U_ACCEL_PSD] = config.imu.accel_noise_mps2_rthz**2
+        gyro, accel = config.imu.gyro_noise_dps_rthz, config.imu.accel_noise_mps2_rthz
+        if unit is not None and unit.gyro_noise_dps_rthz is not None:
+            gyro = unit.gyro_noise_dps_rthz
+        if unit is not None and unit.accel_noise_mps2_rthz is not None:
+            accel = unit.accel_noise_mps2_rthz
+        row[U_GYRO_PSD], row[U_ACCEL_PSD] = (gyro * DEG) ** 2, accel**2
         row[U_GYRO_VAR] = (d.gyro_sample_sd_dps * DEG) ** 2
         row[U_ACCEL_VAR] = d.accel_sample_sd_mps2**2
     return table

@@ -207,7 +207,7 @@ class ImuFusion:
 
 
 def _parameters(config: Config) -> F64:
-    """(U, PAR_SIZE): what is configured of the units; noise and biases as of the first."""
+    """(U, PAR_SIZE): what is configured; biases and, unless said, noise as of the first."""
     imu = config.imu
     first = np.array(imu.axes)
     unit = np.zeros((1 + len(config.further_imu), lo.PAR_SIZE))
@@ -230,6 +230,10 @@ def _parameters(config: Config) -> F64:
         # From body axes to those of the first unit.
         unit[at + 1, lo.LEVER : lo.LEVER + 3] = first.T @ np.array(further.lever_arm_b_m)
         ranges.append((further.gyro_range_dps, further.accel_range_mps2))
+        own = (further.gyro_noise_dps_rthz, DEG), (further.accel_noise_mps2_rthz, 1.0)
+        for sensor, (density, si) in enumerate(own):
+            if density is not None:
+                unit[at + 1, lo.VAR_0 + sensor] = (density * si) ** 2 / WINDOW_S
     for at, (gyro, accel) in enumerate(ranges):
         unit[at, lo.RANGE] = gyro * DEG if gyro > 0 else math.inf
         unit[at, lo.RANGE + 1] = accel if accel > 0 else math.inf

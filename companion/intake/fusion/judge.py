@@ -90,13 +90,14 @@ def learn_noise(present: I64, s: F64, k: I64, pairs: F64, windows: int, least: F
 def noise_of(present: I64, unit: F64, sensor: int, term: int, pairs: F64, out: F64) -> None:
     """``out`` (U,): variance of the window means of each present unit.
 
-    Of three or more, σ_i² from the V_ij of all pairs (a "three-cornered hat"); of two, half of what
-    they share. No less than a quarter of what the datasheet gives.
+    Of three or more, σ_i² from the V_ij of all pairs (a "three-cornered hat"); of two, what they
+    share, parted as their datasheets say. No less than a quarter of what the datasheet gives.
     """
     units = present.shape[0]
-    count, whole = 0, 0.0
+    count, whole, said = 0, 0.0, 0.0
     for i in range(units):
         count += present[i]
+        said += unit[i, VAR_0 + sensor] * present[i]
         for j in range(i):
             if present[i] == 1 and present[j] == 1:
                 whole += pairs[sensor, term, i, j]
@@ -111,7 +112,7 @@ def noise_of(present: I64, unit: F64, sensor: int, term: int, pairs: F64, out: F
         if count > 2:
             mine = (mine - whole / (count - 1.0)) / (count - 2.0)
         else:
-            mine *= 0.5
+            mine *= unit[i, VAR_0 + sensor] / said
         out[i] = max(mine, 0.25 * unit[i, VAR_0 + sensor])
 
 
