@@ -239,16 +239,15 @@ def test_a_clock_that_begins_anew_begins_the_fusion_anew() -> None:
 
 
 def test_what_an_excluded_unit_did_to_the_mean_is_taken_back() -> None:
-    """A third of 0.3 rad/s for two windows is 0.05 rad; 0.02 of its bias had been learned."""
+    """0.1 rad/s of the mean for two windows is 0.05 rad; 0.02 of its bias had been learned."""
     s, terms, common = (
         np.zeros((3, lo.STATE_SIZE)),
         np.zeros((3, 6, lo.TERMS)),
         np.zeros(lo.COMMON_SIZE),
     )
-    s[:, lo.WEIGHT : lo.WEIGHT + 2] = 1.0
-    s[1, lo.SUM_E + 2] = 0.3
     for _ in range(2):
-        note_pull(np.ones(3, np.int64), s)
+        s[1, lo.TOOK + 2] = 0.1 * 25
+        note_pull(25, s)
     s[1, lo.MOVED + 2] = 0.02
     terms[:, 2, 0] = -0.02
     undo(1, s, terms, common)

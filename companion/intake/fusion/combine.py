@@ -34,6 +34,7 @@ from companion.intake.fusion.layout import (
     T_LAST,
     T_RAIL,
     TERMS,
+    TOOK,
     TRUSTED,
     WEIGHT,
     WHY,
@@ -215,6 +216,9 @@ def weigh(
                 fused[a] += s[u, WEIGHT + sensor] * x[u, a]
     for a in range(o, o + 3):
         fused[a] /= total
+        for u in range(units):
+            if used[u] == 1:
+                s[u, TOOK + a] += s[u, WEIGHT + sensor] / total * (x[u, a] - centre[a])
     _note_discord(sensor, used, count, clock, common, x)
     return count
 

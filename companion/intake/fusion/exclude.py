@@ -339,7 +339,7 @@ def close_window(
         trusted[u] = 1 if k[u, WHY] == TRUSTED and present[u] == 1 else 0
     learn_noise(present, s, k, pairs, clock[WINDOWS], least)
     set_weights(trusted, unit, s, pairs, least, typical)
-    note_pull(trusted, s)
+    note_pull(clock[EPOCHS], s)
     _note_noise(present, trusted, unit, k, pairs, clock[WINDOWS])
     for u in range(units):
         if present[u] == 1 and many > 0:

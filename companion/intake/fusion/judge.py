@@ -30,6 +30,7 @@ from companion.intake.fusion.layout import (
     SLOW,
     SUM_E,
     TERMS,
+    TOOK,
     TRUSTED,
     VAR_0,
     WEIGHT,
@@ -223,22 +224,18 @@ def hold_against(
             s[u, ONSET + a] = s[u, SUM_E + a]
 
 
-@njit("void(i8[::1], f8[:, ::1])", cache=True)
-def note_pull(trusted: I64, s: F64) -> None:
-    """Add up what each trusted unit does to the integral of the mean: share times deviation.
+@njit("void(i8, f8[:, ::1])", cache=True)
+def note_pull(epochs: int, s: F64) -> None:
+    """Add up what each unit does to the integral of the mean, over a window of ``epochs``.
 
-    What of the deviation has been taken for its bias has moved the mean by as much for good.
+    What it moved the mean by where it took part, and what of its deviation has been taken for its
+    bias: that has moved the mean by as much for good.
     """
-    for sensor in range(2):
-        weight = 0.0
-        for u in range(s.shape[0]):
-            weight += s[u, WEIGHT + sensor] * trusted[u]
-        for u in range(s.shape[0]):
-            for a in range(3 * sensor, 3 * sensor + 3):
-                by = 0.0
-                if trusted[u] == 1:
-                    by = s[u, SUM_E + a] * s[u, WEIGHT + sensor] / weight + s[u, MOVED + a]
-                s[u, PULL + a] = LATELY * s[u, PULL + a] + by * WINDOW_S
+    for u in range(s.shape[0]):
+        for a in range(6):
+            by = s[u, TOOK + a] / max(epochs, 1) + s[u, MOVED + a]
+            s[u, PULL + a] = LATELY * s[u, PULL + a] + by * WINDOW_S
+            s[u, TOOK + a] = 0.0
 
 
 @njit("void(i8, f8[:, ::1], f8[:, :, ::1], f8[::1])", cache=True)

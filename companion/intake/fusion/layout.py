@@ -35,7 +35,8 @@ ONSET = 33  # 6: deviation in the last window that was not too far off
 NOW = 39  # 6: low-passed deviation, a few epochs long
 PULL = 45  # 6: what it did to the integral of the mean lately [rad, m/s]
 MOVED = 51  # 6: how far the mean moved lately with what was learned of its bias
-STATE_SIZE = 57
+TOOK = 57  # 6: what it moved the mean by where it took part, summed over the window
+STATE_SIZE = 63
 
 # --- integers of a unit (U, COUNT_SIZE)
 FIRST, END = 0, 1  # samples of the ring in use: [FIRST, END), modulo RING
