@@ -36,6 +36,11 @@ NOTHING = Outputs(NO_SOLUTION, NO_SOLUTION, NO_REPORTS, ())
 """What a step gives out that leaves nothing to say."""
 
 
+UNHASHED = 64
+"""Parts that wait for the hash: one sample a call, a kernel for each epoch costs more than its
+rows."""
+
+
 class Outlet:
     """Remembers what has been published, settled and said, and hashes the first two."""
 
@@ -43,6 +48,7 @@ class Outlet:
         self._published_t = self._settled_t = self._hashed_t = _NEVER
         self._fresh: list[tuple[I64, F64]] = []
         self._unhashed: list[tuple[I64, F64]] = []
+        self._unhashed_settled: list[tuple[I64, F64]] = []
         self._said: dict[tuple[int, str], None] = {}
         self._unsaid: list[Event] = []
         self._settled = RowDigest()
@@ -54,29 +60,27 @@ class Outlet:
         Whether it has been given out yet is no matter, so that a hash in the middle of a run
         depends on what had arrived and not on the calls it arrived in.
         """
-        self._hash_settled(rows, rows.after(horizon))
+        self._keep_settled(rows, rows.after(horizon))
+        _absorb(self._unhashed_settled, self._settled)
         return self._settled.hexdigest()
 
     @property
     def digest_published(self) -> str:
         """Hash over everything reached for the first time, in order, given out yet or not."""
-        self._hash_published()
+        _absorb(self._unhashed, self._published)
         return self._published.hexdigest()
 
-    def _hash_settled(self, rows: SampleBuffer, end: int) -> None:
+    def _keep_settled(self, rows: SampleBuffer, end: int) -> tuple[I64, F64] | None:
+        """Set aside for hashing the rows up to index ``end`` that were not yet."""
         begin = rows.after(self._hashed_t)
-        if begin < end:
-            self._settled.update(rows.t[begin:end], rows.rows[begin:end])
-            self._hashed_t = int(rows.t[end - 1])
-
-    def _hash_published(self) -> None:
-        parts, self._unhashed = self._unhashed, []
-        if len(parts) > 1:
-            columns = zip(*parts, strict=True)
-            t, rows = (np.concatenate(column) for column in columns)
-            parts = [(t, rows)]
-        for t, rows in parts:
-            self._published.update(t, rows)
+        if begin >= end:
+            return None
+        self._hashed_t = int(rows.t[end - 1])
+        part = rows.t[begin:end].copy(), rows.rows[begin:end].copy()
+        self._unhashed_settled.append(part)
+        if len(self._unhashed_settled) > UNHASHED:
+            _absorb(self._unhashed_settled, self._settled)
+        return part
 
     def restart(self) -> None:
         """The clock began anew: its times may be earlier than those given out before."""
@@ -102,7 +106,8 @@ class Outlet:
     def published(self) -> Solution:
         """The epochs set aside since the last call."""
         fresh, self._fresh = self._fresh, []
-        self._hash_published()
+        if len(self._unhashed) > UNHASHED:
+            _absorb(self._unhashed, self._published)
         return solution_of(fresh)
 
     def settled(self, rows: SampleBuffer, horizon: int) -> Solution:
@@ -114,9 +119,12 @@ class Outlet:
         # A snapshot may lie before the ring: from there, settled epochs are walked once more.
         a = rows.after(self._settled_t)
         if a < b:
-            self._hash_settled(rows, b)
+            part = self._keep_settled(rows, b)
+            if part is None or len(part[0]) != b - a:
+                # A hash was asked for meanwhile, and has taken some of them.
+                part = rows.t[a:b].copy(), rows.rows[a:b].copy()
             self._settled_t = int(rows.t[b - 1])
-            settled = solution_of([(rows.t[a:b].copy(), rows.rows[a:b].copy())])
+            settled = solution_of([part])
         rows.start = b
         return settled
 
@@ -137,6 +145,16 @@ class Outlet:
             if (event.t_ns, event.kind) not in self._said:
                 self._said[(event.t_ns, event.kind)] = None
                 self._unsaid.append(event)
+
+
+def _absorb(parts: list[tuple[I64, F64]], digest: RowDigest) -> None:
+    """Hash rows that waited, in order; none wait afterwards."""
+    if len(parts) > 1:
+        columns = zip(*parts, strict=True)
+        digest.update(*(np.concatenate(column) for column in columns))
+    elif parts:
+        digest.update(*parts[0])
+    parts.clear()
 
 
 def trace(buffer: SampleBuffer) -> AdaptationTrace:

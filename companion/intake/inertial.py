@@ -44,6 +44,12 @@ class Mounting:
         """Vectors (N, 3) in body axes."""
         return v if self._identity else turned(v, self._axes)
 
+    def turn_one(self, v: list[float]) -> list[float]:
+        """One vector in body axes, summed in the same order."""
+        if self._identity:
+            return v
+        return [v[0] * a[0] + v[1] * a[1] + v[2] * a[2] for a in self._axes]
+
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
@@ -66,6 +72,10 @@ class InertialIntake:
 
     def rows(self, block: ImuSamples) -> tuple[I64, F64]:
         """Times of validity, and rows (N, IMU_SIZE) in body axes as the walk takes them."""
+        if len(block) == 1 and not isinstance(block, FusedImu):
+            row = self._one(block)
+            if row is not None:
+                return block.t_ns - self._latency_ns, row
         rows = np.zeros((len(block), IMU_SIZE))
         rows[:, :3] = self._mounting.turn(block.gyro_b)
         rows[:, 3:6] = self._mounting.turn(block.accel_b)
@@ -75,10 +85,26 @@ class InertialIntake:
             rows[:, EXCESS : EXCESS + 2] = block.excess
         return block.t_ns - self._latency_ns, rows
 
+    def _one(self, block: ImuSamples) -> F64 | None:
+        """The row (1, IMU_SIZE) of the one sample in ``block``; None unless it is plain.
+
+        Live, a sample comes alone: for one, a numpy call costs more than all there is to compute.
+        What is not finite, or at the end of the range, is left to the way that blocks take.
+        """
+        gyro, accel = block.gyro_b[0].tolist(), block.accel_b[0].tolist()
+        interval = float(block.interval_s[0])
+        row = [*self._mounting.turn_one(gyro), *self._mounting.turn_one(accel)]
+        if not math.isfinite(sum(row)) or self._saturation.reached(gyro, accel):
+            return None
+        row += (interval if interval > 0.0 else 0.0, 0.0, 0.0, 0.0)
+        return np.array([row])
+
     def watch(self, t: I64, rows: F64) -> None:
         """Count what is saturated, each sample once: ``rows`` may be asked for twice."""
         if self._saturation.watching:
-            self._counters.imu_saturated += self._saturation.note(t, rows[:, SATURATION])
+            flags = rows[:, SATURATION]
+            if self._saturation.begun or flags.any():
+                self._counters.imu_saturated += self._saturation.note(t, flags)
 
     def events(self, final: bool = False) -> tuple[Event, ...]:
         """What there is to say of saturation since the last call."""

@@ -26,6 +26,17 @@ class SaturationWatch:
         self._counts = [0, 0]
         self._events: list[Event] = []
 
+    @property
+    def begun(self) -> bool:
+        """Whether an episode is running, which time alone may end."""
+        return any(self._counts)
+
+    def reached(self, gyro: list[float], accel: list[float]) -> bool:
+        """Whether one sample (3 + 3 finite values, in the sensor's own axes) is at an end."""
+        return self.watching and (
+            max(map(abs, gyro)) >= self._gyro or max(map(abs, accel)) >= self._accel
+        )
+
     def flags(self, block: ImuSamples) -> F64 | float:
         """(N,) what is at its end, as the walk's column says it; in the sensor's own axes."""
         if not self.watching:
@@ -44,7 +55,7 @@ class SaturationWatch:
         at = np.flatnonzero(flags)
         for now, which in zip(t[at].tolist(), flags[at].tolist(), strict=True):
             self._close(now)
-            if not any(self._counts):
+            if not self.begun:
                 self._first_ns = now
                 self._events.append(
                     Event(now, "imu-saturated", f"{_names(which)} at the end of the range: "
@@ -68,7 +79,7 @@ class SaturationWatch:
 
     def _close(self, now: int) -> None:
         """End an episode that has been quiet for long enough at ``now``."""
-        if not any(self._counts) or now - self._last_ns <= QUIET_NS:
+        if not self.begun or now - self._last_ns <= QUIET_NS:
             return
         said = " and ".join(
             f"{name} {count} time{'s' * (count > 1)}"
