@@ -103,7 +103,8 @@ class InertialIntake:
         """Count what is saturated, each sample once: ``rows`` may be asked for twice."""
         if self._saturation.watching:
             flags = rows[:, SATURATION]
-            if self._saturation.begun or flags.any():
+            found = flags[0] > 0.0 if len(flags) == 1 else flags.any()
+            if found or self._saturation.begun:
                 self._counters.imu_saturated += self._saturation.note(t, flags)
 
     def events(self, final: bool = False) -> tuple[Event, ...]:
@@ -112,7 +113,8 @@ class InertialIntake:
 
     def finite(self, t: I64, rows: F64) -> tuple[I64, F64]:
         """Without the samples that are no numbers, which are counted."""
-        if math.isfinite(rows.sum()):
+        total = sum(rows[0].tolist()) if len(rows) == 1 else rows.sum()
+        if math.isfinite(total):
             return t, rows
         good = np.isfinite(rows[:, :6]).all(axis=1)
         self._counters.imu_not_finite += len(t) - int(good.sum())
