@@ -23,8 +23,10 @@ NEGLIGIBLE = 1e-6
 
 
 def mixture(log_likelihood: F64, misfit: F64, yaw: F64, var: F64) -> tuple[int, float, F64]:
-    """Likeliest hypothesis, the heading's standard deviation over all [rad], and their weights.
+    """Likeliest hypothesis, the heading's deviation from it over all [rad], and their weights.
 
+    sd² = Σ w (var + d²) with d what a heading differs by from the likeliest one's: that one is
+    published, and carried on once the heading is found, so the spread is not about the mean.
     All (N,), one entry a hypothesis: log-likelihood, NIS per component of what they compete on,
     heading [rad] and its variance.
     """
@@ -34,8 +36,7 @@ def mixture(log_likelihood: F64, misfit: F64, yaw: F64, var: F64) -> tuple[int, 
     weight /= weight.sum()
     best = int(np.argmax(weight))
     off = np.remainder(yaw - yaw[best] + math.pi, 2 * math.pi) - math.pi
-    mean = float(weight @ off)
-    spread = float(weight @ (np.minimum(worse * var, math.pi**2) + (off - mean) ** 2))
+    spread = float(weight @ (np.minimum(worse * var, math.pi**2) + off**2))
     return best, math.sqrt(spread), weight
 
 
