@@ -28,6 +28,7 @@ from companion.runtime.check.heard import (
 from companion.runtime.check.receiver import ReceiverTally
 from companion.runtime.check.tally import MavlinkTally, SampleTally
 from companion.types import NS, GnssSamples, ImuSamples
+from drivers.rtcm.framer import pack as rtcm_pack
 from drivers.ublox.framer import pack
 from replay.simulator.constellation import ephemerides
 from replay.simulator.live import rtcm, ubx
@@ -274,11 +275,15 @@ def test_a_receiver_that_could_say_more() -> None:
     rates = np.full(len(SATS), np.nan)
     pieces = [b"".join(rtcm.epoch(50.0 + k, SATS, RANGES, rates, kind=4)) for k in range(5)]
     pieces[2] = pieces[2][:-5]
+    pieces[3] += rtcm_pack((1005 << 4).to_bytes(2, "big") + bytes(17))
     texts = {f.text: f.advice for f in receiver_said(config, *pieces)}
     assert "MSM5 or MSM7" in texts["no Doppler: no velocity from it"]
     assert "1019" in texts["no ephemeris in 8 s"]
+    assert (
+        "own receiver" in texts["a station's coordinates come (1005, 1006): a base's corrections?"]
+    )
     assert "coupling" in texts["is logged and not used"]
-    assert "baud" in texts["1 broken messages beside 9"]
+    assert "baud" in texts["1 broken messages beside 10"]
 
 
 def test_ranges_stand_in_for_fixes_where_they_are_used() -> None:

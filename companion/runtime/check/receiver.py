@@ -16,6 +16,7 @@ from drivers.rtcm.framer import Framer as RtcmFramer
 from drivers.ublox.framer import Framer as UbxFramer
 
 PROTOCOLS = {"ublox": "UBX", "rtcm3": "RTCM 3"}
+_OF_A_BASE = {"1005", "1006"}
 _FEW = 4
 _BROKEN_SHARE = 0.01
 
@@ -135,6 +136,9 @@ def _measurements(config: Config, heard: ReceiverHeard, seconds: float) -> Itera
     yield Finding("ok", part, f"{text}, {len(heard.ephemerides)} ephemerides")
     if sum(heard.satellites.values()) < _FEW:
         yield Finding("warning", part, f"satellites {sats or 'none'}", "open sky, antenna")
+    if heard.protocol == "rtcm3" and _OF_A_BASE & heard.kinds.keys():
+        text = "a station's coordinates come (1005, 1006): a base's corrections?"
+        yield Finding("warning", part, text, "ranges must be those of the vehicle's own receiver")
     if not heard.doppler:
         advice = "MSM5 or MSM7 instead of MSM4 or MSM6" if heard.protocol == "rtcm3" else ""
         yield Finding("warning", part, "no Doppler: no velocity from it", advice)
