@@ -179,6 +179,11 @@ class Ephemerides:
         table = np.array(rows) if rows else np.zeros((0, EPHEMERIS_SIZE))
         return _Table(asked, begin, end, table, which, without)
 
+    @property
+    def empty(self) -> bool:
+        """Whether there is none; asked at every epoch."""
+        return not self._of
+
     def __len__(self) -> int:
         return sum(len(known) for known in self._of.values())
 

@@ -250,7 +250,7 @@ class Receiver:
             self._contradicted_s = now
         if self._begun_s is None:
             self._begun_s = now
-        if not len(self.ephemerides) and "missing" in without:
+        if "missing" in without and self.ephemerides.empty:
             waited = now - self._begun_s
             if waited >= NO_EPHEMERIS_S:
                 self._begun_s = math.inf

@@ -53,76 +53,75 @@ def trimmed_mean() -> F64:
     return np.asarray(1.0 - (F**powers * (1.0 - F)).sum(axis=1) * _STEP)
 
 
-@njit("b1(f8[::1], b1, f8[::1], f8[::1], i8[::1], f8[::1], f8[::1])", cache=True)
-def _line(
-    row: F64, rate: bool, point: F64, here: F64, column: I64, h: F64, y_var: F64
-) -> bool:  # fmt: skip
-    """One row's residual and variance ``y_var`` (2,), line ``h`` (8,); False where it has none."""
-    u = np.empty(3)
-    x, v = point[P_POS : P_POS + 3], point[P_VEL : P_VEL + 3]
-    k = column[int(row[S_SYSTEM])]
-    if k < 0:
-        return False
-    if rate:
-        line_of_sight(row, x[0], x[1], x[2], u)
-        y_var[0] = row[S_RATE] - range_rate(row, u, x, v) - point[P_RATE]
-        y_var[1] = row[S_RATE_VAR]
-    else:
-        clock = point[P_CLOCK + int(row[S_SYSTEM])]
-        y_var[0] = row[S_RANGE] - expected_range(row, x, here, u) - clock
-        y_var[1] = row[S_RANGE_VAR]
-    for i in range(8):
-        h[i] = -u[i] if i < 3 else 0.0
-    h[k] = 1.0
-    return bool(y_var[0] == y_var[0])
-
-
-@njit("f8(f8[::1], i8, f8[:, ::1], f8[::1], f8[::1], b1)", cache=True)
-def _share(h: F64, n: int, N: F64, y_var: F64, lean: F64, inside: bool) -> float:
-    """Variance of a residual in that of its measurement; the residual moves by ``lean``."""
-    leverage = 0.0
-    for i in range(n):
-        y_var[0] -= h[i] * lean[i]
-        for j in range(n):
-            leverage += h[i] * N[i, j] * h[j]
-    return float(1.0 - leverage / y_var[1] if inside else 1.0 + leverage / y_var[1])
-
-
 @njit(
-    "void(f8[:, ::1], i8, i8[::1], b1, f8[::1], f8[::1], i8[::1], i8, f8[:, ::1], f8[::1])",
+    "void(f8[:, ::1], i8, b1, f8[::1], i8[::1], f8[:, ::1], f8[:, ::1])",
     cache=True,
 )
-def _leave_out_worst(
-    rows: F64, m: int, used: I64, rate: bool, point: F64, here: F64, column: I64, n: int, N: F64,
-    lean: F64,
+def _lines(
+    rows: F64, m: int, rate: bool, point: F64, column: I64, h: F64, y_var: F64
 ) -> None:  # fmt: skip
-    """Take the satellite that fits worst out of the solution, if it fits badly.
-
-    ``N`` becomes the covariance without it, ``lean`` (9,) the way of the solution, and whose row it
-    is, −1 for none. What it pulled the others by is no noise of theirs.
-    """
-    h, y_var, worst, least = np.empty(8), np.empty(2), -1, SUSPECT
-    lean[:] = 0.0
+    """Lines ``h`` (m, 8), residuals and variances ``y_var`` (m, 2); NaN where a row has none."""
+    u, here = np.empty(3), np.empty(3)
+    x, v = point[P_POS : P_POS + 3], point[P_VEL : P_VEL + 3]
+    geodetic(x[0], x[1], x[2], here)
     for s in range(m):
-        if used[s] == 1 and _line(rows[s], rate, point, here, column, h, y_var):
-            share = _share(h, n, N, y_var, lean, True)
-            if share >= LEAST_REDUNDANCY and y_var[0] * y_var[0] / (share * y_var[1]) > least:
-                worst, least = s, y_var[0] * y_var[0] / (share * y_var[1])
-    lean[8] = worst
-    if worst < 0:
-        return
-    _line(rows[worst], rate, point, here, column, h, y_var)
-    gain = np.zeros(8)
+        row = rows[s]
+        system = int(row[S_SYSTEM])
+        y_var[s, 0] = np.nan
+        if column[system] < 0:
+            continue
+        if rate:
+            line_of_sight(row, x[0], x[1], x[2], u)
+            y_var[s, 0] = row[S_RATE] - range_rate(row, u, x, v) - point[P_RATE]
+            y_var[s, 1] = row[S_RATE_VAR]
+        else:
+            y_var[s, 0] = row[S_RANGE] - expected_range(row, x, here, u) - point[P_CLOCK + system]
+            y_var[s, 1] = row[S_RANGE_VAR]
+        for i in range(8):
+            h[s, i] = -u[i] if i < 3 else 0.0
+        h[s, column[system]] = 1.0
+
+
+@njit("f8(f8[::1], i8, f8[:, ::1], f8, b1)", cache=True)
+def _share(h: F64, n: int, N: F64, var: float, inside: bool) -> float:
+    """Variance of a residual in that of its measurement."""
+    leverage = 0.0
     for i in range(n):
         for j in range(n):
-            gain[i] += N[i, j] * h[j]
-    left = y_var[1]
+            leverage += h[i] * N[i, j] * h[j]
+    return float(1.0 - leverage / var if inside else 1.0 + leverage / var)
+
+
+@njit("i8(i8, i8[::1], f8[:, ::1], f8[:, ::1], i8, f8[:, ::1])", cache=True)
+def _leave_out_worst(m: int, used: I64, h: F64, y_var: F64, n: int, N: F64) -> int:
+    """Take the satellite that fits worst out of the solution, if it fits badly; its row, or −1.
+
+    ``N`` becomes the covariance without it, and residuals those about the solution without it: what
+    it pulled the others by is no noise of theirs.
+    """
+    worst, least = -1, SUSPECT
+    for s in range(m):
+        y, var = y_var[s, 0], y_var[s, 1]
+        # Fits well whatever its leverage: most are cleared by this.
+        if used[s] == 1 and y * y > SUSPECT * LEAST_REDUNDANCY * var:
+            share = _share(h[s], n, N, var, True)
+            if share >= LEAST_REDUNDANCY and y * y > least * share * var:
+                worst, least = s, y * y / (share * var)
+    if worst < 0:
+        return worst
+    gain, left = np.zeros(8), y_var[worst, 1]
     for i in range(n):
-        left -= h[i] * gain[i]
+        for j in range(n):
+            gain[i] += N[i, j] * h[worst, j]
+        left -= h[worst, i] * gain[i]
+    pull = y_var[worst, 0] / left
+    for s in range(m):
+        for i in range(n):
+            y_var[s, 0] += h[s, i] * gain[i] * pull
     for i in range(n):
-        lean[i] = -gain[i] * y_var[0] / left
         for j in range(n):
             N[i, j] += gain[i] * gain[j] / left
+    return worst
 
 
 @njit("void(f8[:, ::1], i8, i8[::1], f8[::1], f8[::1], f8[:, :, ::1])", cache=True, entry=True)
@@ -132,9 +131,8 @@ def scatter(rows: F64, m: int, used: I64, point: F64, expected: F64, found: F64)
     ``rows``, ``m``, ``used``, ``point`` as :func:`companion.gnss.single_point.solve` left them;
     ``expected``: of :func:`trimmed_mean`.
     """
-    here, h, y_var, lean = np.empty(3), np.empty(8), np.empty(2), np.empty(9)
+    h, y_var = np.empty((m, 8)), np.empty((m, 2))
     N, column = np.empty((8, 8)), np.empty(SYSTEMS, np.int64)
-    geodetic(point[P_POS], point[P_POS + 1], point[P_POS + 2], here)
     found[:, :, :] = 0.0
     for kind in range(2):
         rate = kind == 1
@@ -144,26 +142,25 @@ def scatter(rows: F64, m: int, used: I64, point: F64, expected: F64, found: F64)
             if not rate and point[P_CLOCK + c] == point[P_CLOCK + c]:
                 column[c] = n
                 n += 1
+        _lines(rows, m, rate, point, column, h, y_var)
         N[:, :] = 0.0
         for s in range(m):
-            if used[s] == 1 and _line(rows[s], rate, point, here, column, h, y_var):
+            if used[s] == 1 and y_var[s, 0] == y_var[s, 0]:
                 for i in range(n):
                     for j in range(n):
-                        N[i, j] += h[i] * h[j] / y_var[1]
+                        N[i, j] += h[s, i] * h[s, j] / y_var[s, 1]
         if not invert_spd(N, n):
             continue
-        _leave_out_worst(rows, m, used, rate, point, here, column, n, N, lean)
+        out = _leave_out_worst(m, used, h, y_var, n, N)
         for c in range(SYSTEMS):
             total, largest, second, dof, count = 0.0, 0.0, 0.0, 0.0, 0
             for s in range(m):
-                if int(rows[s, S_SYSTEM]) != c:
+                if int(rows[s, S_SYSTEM]) != c or y_var[s, 0] != y_var[s, 0]:
                     continue
-                if not _line(rows[s], rate, point, here, column, h, y_var):
-                    continue
-                share = _share(h, n, N, y_var, lean, used[s] == 1 and s != int(lean[8]))
+                share = _share(h[s], n, N, y_var[s, 1], used[s] == 1 and s != out)
                 if share < LEAST_REDUNDANCY:
                     continue
-                e = y_var[0] * y_var[0] / (share * y_var[1])
+                e = y_var[s, 0] * y_var[s, 0] / (share * y_var[s, 1])
                 total += e
                 count += 1
                 dof += min(share, 1.0)
