@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.config import Config
 from companion.estimation import update as up
@@ -70,13 +69,20 @@ KEEP_NS = 6 * NS
 FORGET_NS = NS // 4
 """How often that is looked at."""
 
-_KIND_OF_CHANNEL = np.full(max(Channel) + 1, -1)
-"""Kind of aid (``walk.KIND_``) behind each channel; −1 for constraints."""
-_KIND_OF_CHANNEL[:7] = 0, 0, 0, 0, w.KIND_BARO, w.KIND_MAG, w.KIND_GNSS
-_KIND_OF_CHANNEL[Channel.ATTITUDE] = w.KIND_ATTITUDE
-_KIND_OF_CHANNEL[[Channel.GYRO, Channel.ACCELEROMETER]] = w.KIND_IMU
-_KIND_OF_CHANNEL[[Channel.SOURCE_H, Channel.SOURCE_V]] = w.KIND_GNSS
-_KIND_OF_CHANNEL[Channel.RANGE_GPS : Channel.RATE_BEIDOU + 1] = w.KIND_RANGE
+
+def _kinds() -> list[int]:
+    """Kind of aid (``walk.KIND_``) behind each channel; −1 for constraints."""
+    kinds = [-1] * (max(Channel) + 1)
+    kinds[:7] = 0, 0, 0, 0, w.KIND_BARO, w.KIND_MAG, w.KIND_GNSS
+    kinds[Channel.ATTITUDE] = w.KIND_ATTITUDE
+    kinds[Channel.GYRO] = kinds[Channel.ACCELEROMETER] = w.KIND_IMU
+    kinds[Channel.SOURCE_H] = kinds[Channel.SOURCE_V] = w.KIND_GNSS
+    for channel in range(Channel.RANGE_GPS, Channel.RATE_BEIDOU + 1):
+        kinds[channel] = w.KIND_RANGE
+    return kinds
+
+
+_KIND_OF_CHANNEL = _kinds()
 
 
 class Engine:
@@ -336,14 +342,18 @@ class Engine:
         if count == 0:
             return
         rows = buffer.rows[mark : mark + count]
-        kept = np.flatnonzero(
-            (_KIND_OF_CHANNEL[rows[:, up.R_CHANNEL].astype(np.int64)] == new.kind)
-            & _among(t[:count], new.t)
-            & _among(rows[:, up.R_SOURCE], new.source)
-        )
+        channels = map(int, rows[:, up.R_CHANNEL].tolist())
+        said = zip(channels, t[:count].tolist(), rows[:, up.R_SOURCE].tolist(), strict=True)
+        times, sources = set(new.t.tolist()), set(new.source.tolist())
+        # A handful, hundreds of times a minute: lists are faster than columns here.
+        kept = [
+            at
+            for at, (channel, when, source) in enumerate(said)
+            if _KIND_OF_CHANNEL[channel] == new.kind and when in times and source in sources
+        ]
         if len(kept) == count:
             return
-        stay = np.concatenate((kept, np.arange(count, len(t))))
+        stay = [*kept, *range(count, len(t))]
         end = mark + len(stay)
         buffer.t[mark:end] = t[stay]
         buffer.rows[mark:end] = buffer.rows[mark : buffer.end][stay]
@@ -420,11 +430,3 @@ def _with_sky(out: Outputs, sky: Said) -> Outputs:
         adaptation=AdaptationTrace.concatenate([out.adaptation, sky.adaptation]),
         satellites=sky.satellites,
     )
-
-
-def _among(values: F64 | I64, wanted: I64) -> NDArray[np.bool_]:
-    """(N,) which of ``values`` are among ``wanted``, nearly always one."""
-    found: NDArray[np.bool_] = values == wanted[0]
-    for one in wanted[1:]:
-        found |= values == one
-    return found
