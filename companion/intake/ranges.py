@@ -142,9 +142,9 @@ class RangeIntake:
         if tight and any(len(p.rows) for p, _, _ in prepared):
             made.append(_ranges(prepared, [self._inflation(p.t_ns) for p, _, _ in prepared]))
         said = _said([p for p, _, _ in prepared])
-        return made, said if self._trust is None else said._replace(
-            adaptation=self._trust.take_trace()
-        )
+        if self._trust is None or not prepared:
+            return made, said
+        return made, said._replace(adaptation=self._trust.take_trace())
 
 
 def _stamps(arrival: RawGnssSamples, m: int) -> tuple[int, int, int]:

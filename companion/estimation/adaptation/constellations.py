@@ -34,7 +34,7 @@ from companion.gnss.systems import SYSTEMS
 from companion.types import F64, I64, NS, AdaptationTrace, Channel
 
 CHANNELS = 2 * SYSTEMS
-_EPOCH = np.array([*range(Channel.RANGE_GPS, Channel.RANGE_GPS + CHANNELS)])
+_EVERY = np.array([*range(Channel.RANGE_GPS, Channel.RANGE_GPS + CHANNELS)])
 _LONE_S = 1.0
 """Taken for the interval in front of the first epoch."""
 
@@ -50,7 +50,7 @@ def judge(
     """Take one epoch into the windows, and move the ``factors`` (2, SYSTEMS) on R.
 
     ``found`` as of :func:`companion.gnss.scatter.scatter`, measured with R as it is scaled;
-    ``rings`` (6, LONGEST_WINDOW, 2) the same as said of R unscaled; ``at`` (6, 2): filled, next;
+    ``rings`` (6, window, 2) the same as said of R unscaled; ``at`` (6, 2): filled, next;
     ``fresh`` (2,): share of an epoch's redundancy that the one before did not tell already; ``a``:
     :mod:`parameters`. ``traces`` (6, TRACE_SIZE): row by row why, TRACED 0 where nothing came in.
     """
@@ -145,7 +145,7 @@ class Constellations:
         t, rows, n = t[some], rows[some], int(some.sum())
         none, zero = np.full(n, np.nan), np.zeros(n)
         return AdaptationTrace(
-            t_ns=t, channel=np.tile(_EPOCH, len(told))[some], source=np.zeros(n, np.int64),
+            t_ns=t, channel=np.tile(_EVERY, len(told))[some], source=np.zeros(n, np.int64),
             mean=none, spread=rows[:, IN_SPREAD].copy(), correlation=none, to_model=zero,
             to_source=zero, firing=rows[:, FIRING : FIRING + 9].copy(),
             r_scale=rows[:, OUT_R].copy(), q_scale=none, alpha=none,
