@@ -20,8 +20,8 @@ NOMINAL = w.O_COV
 _KEPT = [*range(NOMINAL), w.O_MODE, w.O_RESETS]
 
 Recording = Literal["no", "states", "covariance", "inputs", "all"]
-"""What a filter leaves for a smoother: a tape, without P or with P at the output rows; the inputs
-beside rows with P; the inputs beside a whole tape with P."""
+"""What a filter leaves for a smoother: a tape, for the states alone or covariances with them; the
+inputs beside rows with P; the inputs beside a whole tape."""
 
 Column = TypeVar("Column", tp.I8, tp.F32, F64)
 
@@ -54,9 +54,9 @@ class Tape:
     n: int
     """States."""
     covariance: bool
-    """Whether rows carry P."""
+    """Whether the smoothed solution is to have its own."""
     rows_only: bool = False
-    """Whether the rows are all there is: nothing to smooth back over, but estimates with P."""
+    """Whether the rows, with P, are all there is: nothing to smooth back over."""
     chunks: list[Chunk] = field(default_factory=list)
     _s: F64 = field(default_factory=lambda: np.zeros(0))
     _kinds: tp.I8 = field(default_factory=lambda: np.zeros(0, np.int8))
@@ -69,15 +69,14 @@ class Tape:
         """Start a chunk from the filter's state."""
         self._s = s.copy()
         k[lo.TAPE_AT : lo.TAPE_AT + tp.POSITION] = 0
-        rows = tp.WITH_COVARIANCE if self.covariance else tp.MARKED
-        k[lo.TAPE_AT + tp.ROWS] = tp.ROWS_ONLY if self.rows_only else rows
+        k[lo.TAPE_AT + tp.ROWS] = tp.ROWS_ONLY if self.rows_only else tp.MARKED
 
     def recorder(self, k: I64, steps: int, updates: int, rows: int) -> tp.Recorder:
         """The tape for a kernel, with room for so many more records."""
         at = position(k)
         if self.rows_only:
             steps = updates = 0
-        triangle = self.n * (self.n + 1) // 2 if self.covariance else 0
+        triangle = self.n * (self.n + 1) // 2 if self.rows_only else 0
         self._kinds = grown(self._kinds, int(at[tp.KIND]) + steps + 3 * updates + rows)
         self._coarse = grown(self._coarse, int(at[tp.COARSE]) + tp.C_STEP * steps + triangle * rows)
         numbers = (

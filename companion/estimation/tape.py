@@ -11,7 +11,8 @@ STEP        T and the sums behind Φ of one covariance  velocity, latitude, heig
             interval                                   factor on the biases' noise, clock let go
 TURN        correction of φ (3)                        –
 FADE        α² that P was multiplied by                –
-ROW         –                                          upper triangle of P, where wanted
+ROW         –                                          upper triangle of P, where nothing but
+                                                       rows is recorded
 UPDATE + m  1/√S, y, which m of H are not zero, P Hᵀ   –
             /√S (n), those of H (m)
 ==========  =========================================  ==================================
@@ -71,9 +72,9 @@ F_TIME = 2
 # --- entries of a position on the tape
 KIND, COARSE, FINE, ROWS, EVERY_NS, CELL = 0, 1, 2, 3, 4, 5
 POSITION = 6
-# --- what becomes of an output row: marked, marked with P, that where nothing but rows is recorded;
-# on line those to be smoothed, or all
-MARKED, WITH_COVARIANCE, ROWS_ONLY, TO_SMOOTH, ALL = 0, 1, 2, 3, 4
+# --- what becomes of an output row: marked; put down with P where nothing but rows is recorded; on
+# line those to be smoothed, or all
+MARKED, ROWS_ONLY, TO_SMOOTH, ALL = 0, 2, 3, 4
 
 RECORDER = "Tuple((i1[::1], f4[::1], f8[::1], i8[::1]))"
 """Numba type of (kinds, coarse, fine, position), as the kernels take a tape. Empty: not recorded.

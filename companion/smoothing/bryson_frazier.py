@@ -9,7 +9,8 @@ start of a chunk only: inside it the smoothed error moves forward by its own rec
 
     over a step:    δx⁻ = Φ δx − Q λ̃ ,               at an update: δx = δx⁻ − K y
 
-so the history grows with the rate of the covariance, not with states², and not with the IMU's rate.
+so the history grows with the rate of the covariance, not with states², and not with the IMU's rate;
+where covariances are asked for, P is walked again from there (covariances.py).
 Feedback changes nothing but the turn G of the attitude error at a reset: λ ← Gᵀ λ, δx ← G δx.
 Where P was multiplied by α² (FLAC), λ and Λ are too, going back, and δx stays.
 """
@@ -24,8 +25,6 @@ from companion.estimation.tape import (
     F_FADE,
     F_GAIN,
     F_R,
-    F_STEP,
-    F_STEP_WITH_SCALE,
     F_TURN,
     F_Y,
     FADE,
@@ -34,10 +33,8 @@ from companion.estimation.tape import (
     TURN,
     UPDATE,
     read_h,
-    read_step,
 )
-from companion.navigation.error_model import transition_blocks
-from companion.navigation.layout import ATT, L_ACCEL_SCALE, L_N
+from companion.navigation.layout import ATT, L_N
 from companion.smoothing.composite import (
     S_D,
     S_DECAY,
@@ -54,6 +51,7 @@ from companion.smoothing.composite import (
     step_back,
     take_back,
 )
+from companion.smoothing.phi import coefficients, step_size
 from companion.smoothing.transition import (
     carry,
     carry_back,
@@ -63,10 +61,18 @@ from companion.smoothing.transition import (
 )
 from companion.types import F64, I64
 
-_CHUNK = "i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[::1]"
-"""Numba's types of what every kernel takes first: the columns of exactly one chunk, how many
-numbers of P lie with each row, layout and parameters, a state as scratch with the Earth's rate in
-place, and the scratch of composite.py."""
+_CHUNK = "i1[::1], f4[::1], f8[::1], i8[::1], f8[::1], f8[::1]"
+"""Numba's types of what every kernel takes first: the columns of exactly one chunk, layout and
+parameters, and the scratch of composite.py."""
+
+
+@njit("i8(i1[::1])", cache=True, counted=False)
+def count_steps(kinds: I8) -> int:
+    """How many steps there are."""
+    count = 0
+    for i in range(kinds.shape[0]):
+        count += kinds[i] == STEP
+    return int(count)
 
 
 @njit("void(f8[::1], f8[::1])", cache=True, counted=False)
@@ -89,28 +95,29 @@ def turn(x: F64, g: F64) -> None:
     x[ATT + 2] = c - v * a + u * b
 
 
-@njit(f"void({_CHUNK}, f8[::1], f8[:, ::1])", cache=True, entry=True, counted=False)
+@njit(f"void({_CHUNK}, f8[::1], f8[::1], f8[:, ::1])", cache=True, entry=True, counted=False)
 def backward(
     kinds: I8,
     coarse: F32,
     fine: F64,
-    triangle: int,
     lay: I64,
     par: F64,
-    s: F64,
     scratch: F64,
+    s: F64,
     lam: F64,
     steps: F64,
 ) -> None:
     """Take λ, ``lam`` (n,), from the end of a chunk to its start, in place.
 
-    ``steps`` (steps of the chunk, n) keeps λ̃ after each step, for :func:`forward`.
+    ``s`` is a state as scratch, with the Earth's rate in place.
+    ``steps`` (≥ steps of the chunk, n + K_SIZE) keeps λ̃ after each step and its Φ, for
+    :func:`forward` and :func:`backward_covariance`.
     """
     n = lay[L_N]
-    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    size = step_size(lay)
     B = scratch[:S_D].reshape((24, 3, 3))
     d, H = scratch[S_D : S_D + n], scratch[S_H : S_H + n]
-    c, f, m = coarse.shape[0], fine.shape[0], steps.shape[0]
+    c, f, m = coarse.shape[0], fine.shape[0], count_steps(kinds)
     for i in range(kinds.shape[0] - 1, -1, -1):
         kind = kinds[i]
         if kind == STEP:
@@ -120,10 +127,10 @@ def backward(
             T = float(fine[f])
             for j in range(n):
                 steps[m, j] = lam[j]
-            read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
-            transition_blocks(s, B)
+            K = steps[m, n:]
+            coefficients(coarse[c : c + C_STEP], fine[f : f + size], lay, s, B, K)
             decay_factors(T, lay, par, d)
-            carry_back(B, lay, T, d, lam)
+            carry_back(K, lay, d, lam)
         elif kind >= UPDATE:
             f -= F_GAIN + n + kind - UPDATE
             r = fine[f + F_R]
@@ -141,8 +148,6 @@ def backward(
             f -= F_FADE
             for j in range(n):
                 lam[j] *= fine[f]
-        else:
-            c -= triangle
 
 
 @njit(f"void({_CHUNK}, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True, entry=True, counted=False)
@@ -150,10 +155,8 @@ def forward(
     kinds: I8,
     coarse: F32,
     fine: F64,
-    triangle: int,
     lay: I64,
     par: F64,
-    s: F64,
     scratch: F64,
     dx: F64,
     steps: F64,
@@ -165,19 +168,16 @@ def forward(
     to the forward solution at each output row.
     """
     n = lay[L_N]
-    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
-    B = scratch[:S_D].reshape((24, 3, 3))
+    size = step_size(lay)
     d, q = scratch[S_D : S_D + n], scratch[S_H : S_H + n]
     c, f, m, row = 0, 0, 0, 0
     for i in range(kinds.shape[0]):
         kind = kinds[i]
         if kind == STEP:
             numbers, T = coarse[c : c + C_STEP], float(fine[f])
-            read_step(numbers, fine[f : f + size], s)
-            transition_blocks(s, B)
             decay_factors(T, lay, par, d)
             noise_diagonal(numbers, T, lay, par, d, q)
-            carry(B, lay, T, d, dx)
+            carry(steps[m, n:], lay, d, dx)
             subtract_noise(numbers, T, lay, par, q, steps[m], dx)
             c += C_STEP
             f += size
@@ -196,30 +196,34 @@ def forward(
             for j in range(n):
                 rows[row, j] = dx[j]
             row += 1
-            c += triangle
 
 
-@njit(f"void({_CHUNK}, f8[:, ::1], f8[:, ::1])", cache=True, entry=True, counted=False)
+@njit(
+    f"void({_CHUNK}, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1])",
+    cache=True,
+    entry=True,
+    counted=False,
+)
 def backward_covariance(
     kinds: I8,
     coarse: F32,
     fine: F64,
-    triangle: int,
     lay: I64,
     par: F64,
-    s: F64,
     scratch: F64,
+    steps: F64,
+    before: F64,
     Lam: F64,
     rows: F64,
 ) -> None:
     """Take Λ, ``Lam`` (n, n), from the end of a chunk to its start, in place.
 
     ``rows`` (rows of the chunk, 30) is filled with the covariance blocks of the smoothed errors, as
-    :attr:`companion.types.Solution.cov`. The tape must carry P with its rows.
+    :attr:`companion.types.Solution.cov`, from P ``before`` (rows, n, n) smoothing; ``steps`` is
+    what :func:`backward` left of the same chunk.
     """
     n = lay[L_N]
-    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
-    B = scratch[:S_D].reshape((24, 3, 3))
+    size = step_size(lay)
     d, w, D = scratch[S_D : S_D + n], scratch[S_H : S_H + n], scratch[S_DECAY : S_DECAY + n]
     X = scratch[S_X : S_X + n * WIDTH]
     P, L = scratch[S_P : S_P + n * STRIDE], scratch[S_LAM : S_LAM + n * STRIDE]
@@ -230,17 +234,15 @@ def backward_covariance(
     begin(X, lay)
     D[:] = 1.0
     pending = False
-    c, f, row = coarse.shape[0], fine.shape[0], rows.shape[0]
+    c, f, m, row = coarse.shape[0], fine.shape[0], count_steps(kinds), rows.shape[0]
     for i in range(kinds.shape[0] - 1, -1, -1):
         kind = kinds[i]
         if kind == STEP:
+            m -= 1
             c -= C_STEP
             f -= size
-            T = float(fine[f])
-            read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
-            transition_blocks(s, B)
-            decay_factors(T, lay, par, d)
-            step_back(B, lay, T, d, X, D)
+            decay_factors(float(fine[f]), lay, par, d)
+            step_back(steps[m, n:], lay, d, X, D)
             pending = True
             continue
         if pending:
@@ -254,12 +256,9 @@ def backward_covariance(
             take_back(kind, fine[f:], n, X, L, d, w)
         else:
             row -= 1
-            c -= triangle
-            at = c
             for j in range(n):
-                for k in range(j, n):
-                    P[j * STRIDE + k] = P[k * STRIDE + j] = coarse[at + k - j]
-                at += n - j
+                for k in range(n):
+                    P[j * STRIDE + k] = before[row, j, k]
             smoothed_blocks(P, L, n, V, rows[row])
     if pending:
         flush(X, D, L, lay, U, V)

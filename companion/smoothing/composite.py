@@ -30,19 +30,37 @@ from companion.navigation.layout import (
     L_N,
     RAMP,
 )
+from companion.smoothing.phi import (
+    K_AA,
+    K_AV,
+    K_C,
+    K_D,
+    K_PA,
+    K_PP,
+    K_Q,
+    K_R,
+    K_S,
+    K_SIZE,
+    K_T,
+    K_VA,
+    K_VP,
+    K_VV,
+)
 from companion.types import F64, I64
 
 WIDTH = 12
-"""Columns of ``X``: nine of Ψᵀ, λ, and two for a receiver's clock, which fill a vector."""
-LAM = 9
-"""Column of λ."""
-OF_BIAS, OF_DRIFT = 10, 11
+"""Columns of ``X``: nine of Ψᵀ, two for a receiver's clock, and λ, which fill a vector."""
+OF_PSI = 9
+OF_BIAS, OF_DRIFT = 9, 10
 """Columns of Ψᵀ for the receiver's clock, where there is one."""
+LAM = 11
+"""Column of λ."""
 
 # --- entries of the scratch that the smoothers' kernels are given, which make no arrays themselves:
-# blocks of Φ, lines, X, matrices in rows of STRIDE
+# blocks of Φ, lines, Φ as phi.py has it, X, matrices in rows of STRIDE
 S_BLOCKS, S_D, S_H, S_DECAY, S_DX = 0, 216, 216 + STRIDE, 216 + 2 * STRIDE, 216 + 3 * STRIDE
-S_X = S_DX + STRIDE
+S_K = S_DX + STRIDE
+S_X = S_K + K_SIZE
 S_P, S_LAM, S_U, S_V = (S_X + STRIDE * WIDTH + i * STRIDE * STRIDE for i in range(4))
 SCRATCH = S_V + STRIDE * STRIDE
 
@@ -57,9 +75,9 @@ def begin(X: F64, lay: I64) -> None:
     """``X`` (n · WIDTH,) ← Ψ = I; λ stays."""
     n, clock = lay[L_N], lay[L_CLOCK]
     for i in range(n):
-        for j in range(LAM):
+        for j in range(OF_PSI):
             X[i * WIDTH + j] = 0.0
-    for i in range(LAM):
+    for i in range(OF_PSI):
         X[i * WIDTH + i] = 1.0
     if clock >= 0:
         for i in range(9, n):
@@ -68,14 +86,15 @@ def begin(X: F64, lay: I64) -> None:
         X[(clock + DRIFT) * WIDTH + OF_DRIFT] = 1.0
 
 
-@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
-def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64) -> None:
+@njit("void(f8[::1], i8[::1], f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
+def step_back(K: F64, lay: I64, d: F64, X: F64, D: F64) -> None:
     """``X`` ← Φᵀ diag(d) ``X`` and ``D`` ← ``D`` ∘ d: one step further back.
 
-    ``B``: blocks of Φ over ``T`` [s]; ``D`` (n,): the decays so far. The biases' products are
-    shared as in transition.py.
+    ``K``: Φ as phi.py has it; ``D`` (n,): the decays so far.
     """
     n, i_sa, i_sg = lay[L_N], lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
+    T = K[K_T]
+    half, third = 0.5 * T, T / 3.0
     for i in range(15, n):
         if d[i] != 1.0:
             D[i] *= d[i]
@@ -83,13 +102,14 @@ def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64) -> None:
             for j in range(WIDTH):
                 row[j] *= d[i]
     if i_sa >= 0:
-        for at, block, up in (
-            (i_sa, 5, 0), (i_sa, 13, 3), (i_sg, 6, 0), (i_sg, 14, 3), (i_sg, 22, 6),
+        for at, block, up, part in (
+            (i_sa, K_S, 0, half), (i_sa, K_S, 3, 1.0),
+            (i_sg, K_R, 0, third), (i_sg, K_R, 3, 1.0), (i_sg, K_Q, 6, 1.0),
         ):  # fmt: skip
             for i in range(3):
                 row = X[(at + i) * WIDTH :]
                 for k in range(3):
-                    g = B[block, k, i]
+                    g = part * K[block + 3 * k + i]
                     own = X[(up + k) * WIDTH :]
                     for j in range(WIDTH):
                         row[j] += g * own[j]
@@ -103,22 +123,21 @@ def step_back(B: F64, lay: I64, T: float, d: F64, X: F64, D: F64) -> None:
     for i in range(ACCEL_BIAS, GYRO_BIAS + 3):
         D[i] *= d[i]
     da, dg = d[ACCEL_BIAS], d[GYRO_BIAS]
-    half, third = 0.5 * T, T / 3.0
-    pa, pb, pc = B[0, 0, 0], B[0, 0, 2], B[0, 1, 0]
-    pd, pe, g = B[0, 1, 1], B[0, 1, 2], B[8, 2, 2]
-    px, py, pz = B[2, 1, 2], B[2, 2, 0], B[2, 0, 1]
-    va, vb, vc = B[9, 0, 0], B[9, 0, 1], B[9, 0, 2]
-    vd, ve, vf = B[9, 1, 0], B[9, 1, 1], B[9, 1, 2]
-    vg, vh = B[9, 2, 0], B[9, 2, 1]
-    vx, vy, vz = B[10, 1, 2], B[10, 2, 0], B[10, 0, 1]
-    c0, c1, c2 = B[11, 0, 0], B[11, 0, 1], B[11, 0, 2]
-    c3, c4, c5 = B[11, 1, 0], B[11, 1, 1], B[11, 1, 2]
-    c6, c7, c8 = B[11, 2, 0], B[11, 2, 1], B[11, 2, 2]
-    d0, d1, d2 = B[12, 0, 0], B[12, 0, 1], B[12, 0, 2]
-    d3, d4, d5 = B[12, 1, 0], B[12, 1, 1], B[12, 1, 2]
-    d6, d7, d8 = B[12, 2, 0], B[12, 2, 1], B[12, 2, 2]
-    ha, hb, hc = B[17, 0, 1], B[17, 1, 0], B[17, 2, 1]
-    wx, wy, wz = B[18, 1, 2], B[18, 2, 0], B[18, 0, 1]
+    pa, pb, pc = K[K_PP], K[K_PP + 1], K[K_PP + 2]
+    pd, pe, g = K[K_PP + 3], K[K_PP + 4], K[K_VP]
+    px, py, pz = K[K_PA], K[K_PA + 1], K[K_PA + 2]
+    va, vb, vc = K[K_VV], K[K_VV + 1], K[K_VV + 2]
+    vd, ve, vf = K[K_VV + 3], K[K_VV + 4], K[K_VV + 5]
+    vg, vh = K[K_VV + 6], K[K_VV + 7]
+    vx, vy, vz = K[K_VA], K[K_VA + 1], K[K_VA + 2]
+    c0, c1, c2 = K[K_C], K[K_C + 1], K[K_C + 2]
+    c3, c4, c5 = K[K_C + 3], K[K_C + 4], K[K_C + 5]
+    c6, c7, c8 = K[K_C + 6], K[K_C + 7], K[K_C + 8]
+    d0, d1, d2 = K[K_D], K[K_D + 1], K[K_D + 2]
+    d3, d4, d5 = K[K_D + 3], K[K_D + 4], K[K_D + 5]
+    d6, d7, d8 = K[K_D + 6], K[K_D + 7], K[K_D + 8]
+    ha, hb, hc = K[K_AV], K[K_AV + 1], K[K_AV + 2]
+    wx, wy, wz = K[K_AA], K[K_AA + 1], K[K_AA + 2]
     for j in range(WIDTH):
         p0, p1, p2 = X[j], X[WIDTH + j], X[2 * WIDTH + j]
         v0, v1, v2 = X[3 * WIDTH + j], X[4 * WIDTH + j], X[5 * WIDTH + j]

@@ -7,8 +7,6 @@ from companion.estimation.tape import (
     C_STEP,
     COARSE,
     F32,
-    F_STEP,
-    F_STEP_WITH_SCALE,
     FINE,
     FIX,
     FULL_ROW,
@@ -19,7 +17,8 @@ from companion.estimation.tape import (
     read_time,
 )
 from companion.estimation.walk import ROW_SIZE
-from companion.navigation.layout import L_ACCEL_SCALE, L_N
+from companion.navigation.layout import L_N
+from companion.smoothing.phi import step_size
 from companion.smoothing.window import BROKEN, copy_row, numbers_of, smooth_window
 from companion.types import F64, I64, Flags
 
@@ -48,7 +47,7 @@ def next_boundary(
     moves on and counts the rows it passes. Returns the end's time, or −1 where there is none yet.
     """
     n = lay[L_N]
-    step = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    step = step_size(lay)
     i, c, f = scan[KIND], scan[COARSE], scan[FINE]
     # Records are settled once a time behind them is: until then they are looked at again.
     while i < end:
@@ -82,7 +81,7 @@ def next_boundary(
 def as_filtered(kinds: I8, fine: F64, lay: I64, a: I64, b: I64, t: I64, rows: F64) -> None:
     """The rows of the tape from ``a`` to ``b`` as the filter had them, into ``t`` and ``rows``."""
     n = lay[L_N]
-    step = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    step = step_size(lay)
     f, row = a[FINE], 0
     for i in range(a[KIND], b[KIND]):
         kind = kinds[i]

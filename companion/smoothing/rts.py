@@ -5,8 +5,9 @@
 
 around the recorded nominal trajectory (Rauch, Tung and Striebel 1965). Steps with nothing between
 them are taken as one, by the product Ψ of their transitions (composite.py). P and P⁻ are had again
-by walking a chunk of the tape forward from its P. Where P was multiplied by α² (FLAC), the gain
-over the step is α² P Φᵀ (P⁻)⁻¹: δx passes the weighting, and P_s is that much smaller before.
+by walking a chunk of the tape forward from its P (covariances.py). Where P was multiplied by α²
+(FLAC), the gain over the step is α² P Φᵀ (P⁻)⁻¹: δx passes the weighting, and P_s is that much
+smaller before.
 """
 
 from __future__ import annotations
@@ -16,15 +17,13 @@ import math
 import numpy as np
 
 from companion._jit import njit
-from companion.estimation.covariance import STRIDE, apply_transition
+from companion.estimation.covariance import STRIDE
 from companion.estimation.tape import (
     C_STEP,
     F32,
     F_FADE,
     F_GAIN,
     F_R,
-    F_STEP,
-    F_STEP_WITH_SCALE,
     F_TURN,
     F_Y,
     FADE,
@@ -32,21 +31,18 @@ from companion.estimation.tape import (
     STEP,
     TURN,
     UPDATE,
-    read_step,
 )
-from companion.estimation.update import reset_covariance
-from companion.navigation.error_model import transition_blocks
 from companion.navigation.layout import (
     ATT,
     DRIFT,
-    L_ACCEL_SCALE,
     L_CLOCK,
-    L_GYRO_SCALE,
     L_N,
     RAMP,
 )
 from companion.smoothing.composite import OF_BIAS, OF_DRIFT, WIDTH, begin, step_back
-from companion.smoothing.transition import add_noise, decay_factors, noise_diagonal
+from companion.smoothing.covariances import count_runs
+from companion.smoothing.phi import K_SIZE, coefficients, step_size
+from companion.smoothing.transition import decay_factors
 from companion.types import F64, I64
 
 
@@ -93,124 +89,6 @@ def solve(U: F64, X: F64, n: int) -> None:
             g = U[k, i]
             for j in range(n):
                 X[k, j] -= g * X[i, j]
-
-
-@njit("b1(i1[::1], i8)", cache=True)
-def last_of_run(kinds: I8, i: int) -> bool:
-    """Whether the step ``i`` is the last one before something else, or of all."""
-    return bool(i + 1 == kinds.shape[0] or kinds[i + 1] != STEP)
-
-
-@njit("i8(i1[::1])", cache=True, entry=True)
-def count_runs(kinds: I8) -> int:
-    """How many runs of steps there are."""
-    count = 0
-    for i in range(kinds.shape[0]):
-        count += kinds[i] == STEP and last_of_run(kinds, i)
-    return int(count)
-
-
-@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[:, ::1], f8[:, ::1])", cache=True)
-def _carry(B: F64, lay: I64, T: float, d: F64, P: F64, W: F64) -> None:
-    """``P`` (n, STRIDE) ← D Φ P Φᵀ D over ``T`` [s]; ``W`` (n + 9, STRIDE) is scratch."""
-    n, i_sa, i_sg = lay[L_N], lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE]
-    X, Y = W[:n], W[n:]
-    apply_transition(B, i_sa, i_sg, P, n, Y)
-    for k in range(n):
-        for j in range(9):
-            X[k, j] = Y[j, k]
-    for i in range(9):
-        for j in range(9, n):
-            P[i, j] = P[j, i] = Y[i, j]
-    apply_transition(B, i_sa, i_sg, X, 9, Y)
-    for i in range(9):
-        for j in range(i + 1):
-            P[i, j] = P[j, i] = Y[i, j]
-    clock = lay[L_CLOCK]
-    if clock >= 0:
-        # Φ of the clock from both sides, as receiver_clock.carry_clock.
-        half = 0.5 * T * T
-        for j in range(n):
-            P[clock, j] += T * P[clock + DRIFT, j] + half * P[clock + RAMP, j]
-            P[clock + DRIFT, j] += T * P[clock + RAMP, j]
-        for j in range(n):
-            P[j, clock] += T * P[j, clock + DRIFT] + half * P[j, clock + RAMP]
-            P[j, clock + DRIFT] += T * P[j, clock + RAMP]
-    for i in range(9, n):
-        if d[i] != 1.0:
-            for j in range(n):
-                P[i, j] *= d[i]
-            for j in range(n):
-                P[j, i] *= d[i]
-
-
-@njit(
-    "void(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1])",
-    cache=True,
-    entry=True,
-)
-def covariances(
-    kinds: I8,
-    coarse: F32,
-    fine: F64,
-    triangle: int,
-    lay: I64,
-    par: F64,
-    s: F64,
-    P: F64,
-    before: F64,
-    foreseen: F64,
-) -> None:
-    """Walk ``P`` (n, n) over a chunk, in place.
-
-    For each run of steps without anything between them, ``before`` gets P (n, n) in front of it and
-    ``foreseen`` P⁻ behind it. ``s`` is scratch with the Earth's rate in place.
-    """
-    n = lay[L_N]
-    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
-    B = np.empty((24, 3, 3))
-    d, q, dx = np.empty(n), np.empty(n), np.zeros(n)
-    A, W = np.zeros((n, STRIDE)), np.zeros((n + 9, STRIDE))
-    A[:, :n] = P
-    c, f, m = 0, 0, 0
-    inside = False
-    for i in range(kinds.shape[0]):
-        kind = kinds[i]
-        if kind == STEP:
-            if not inside:
-                before[m] = A[:, :n]
-            inside = not last_of_run(kinds, i)
-            numbers, T = coarse[c : c + C_STEP], float(fine[f])
-            read_step(numbers, fine[f : f + size], s)
-            transition_blocks(s, B)
-            decay_factors(T, lay, par, d)
-            _carry(B, lay, T, d, A, W)
-            noise_diagonal(numbers, T, lay, par, d, q)
-            add_noise(numbers, T, lay, par, q, A)
-            c += C_STEP
-            f += size
-            if not inside:
-                foreseen[m] = A[:, :n]
-                m += 1
-        elif kind >= UPDATE:
-            gain = fine[f + F_GAIN : f + F_GAIN + n]
-            for j in range(n):
-                g = gain[j]
-                for k in range(n):
-                    A[j, k] -= g * gain[k]
-            f += F_GAIN + n + kind - UPDATE
-        elif kind == TURN:
-            for j in range(3):
-                dx[ATT + j] = fine[f + j]
-            reset_covariance(A, dx, n)
-            f += F_TURN
-        elif kind == FADE:
-            A *= fine[f]
-            f += F_FADE
-        else:
-            c += triangle
-    P[:] = A[:, :n]
 
 
 @njit("void(f8[::1], f8[:, ::1], f8[::1], i8)", cache=True)
@@ -298,7 +176,7 @@ def _smooth_covariance(A: F64, D: F64, P: F64, Ps: F64, W: F64, n: int) -> None:
 
 
 @njit(
-    "b1(i1[::1], f4[::1], f8[::1], i8, i8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
+    "b1(i1[::1], f4[::1], f8[::1], i8[::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
     "f8[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
     cache=True,
     entry=True,
@@ -307,7 +185,6 @@ def backward(
     kinds: I8,
     coarse: F32,
     fine: F64,
-    triangle: int,
     lay: I64,
     par: F64,
     s: F64,
@@ -320,14 +197,14 @@ def backward(
 ) -> bool:
     """Take the smoothed error and its covariance from a chunk's end to its start, in place.
 
-    ``dx`` (n,), ``Ps`` (n, n); ``before`` and ``foreseen`` come from :func:`covariances`. ``rows``
+    ``dx`` (n,), ``Ps`` (n, n); ``before`` and ``foreseen`` come from covariances.py. ``rows``
     (rows, n) and ``cov_rows`` (rows, n, n) are filled at output rows. False where a P⁻ is not
     positive definite.
     """
     n = lay[L_N]
-    size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    size = step_size(lay)
     B = np.empty((24, 3, 3))
-    d, t, decay = np.empty(n), np.empty(n), np.ones(n)
+    d, t, decay, K = np.empty(n), np.empty(n), np.ones(n), np.empty(K_SIZE)
     X = np.zeros(n * WIDTH)
     A, D, U = np.zeros((n, STRIDE)), np.zeros((n, STRIDE)), np.zeros((n, STRIDE))
     S, P = np.zeros((n, STRIDE)), np.zeros((n, STRIDE))
@@ -341,10 +218,9 @@ def backward(
             c -= C_STEP
             f -= size
             T = float(fine[f])
-            read_step(coarse[c : c + C_STEP], fine[f : f + size], s)
-            transition_blocks(s, B)
+            coefficients(coarse[c : c + C_STEP], fine[f : f + size], lay, s, B, K)
             decay_factors(T, lay, par, d)
-            step_back(B, lay, T, d, X, decay)
+            step_back(K, lay, d, X, decay)
             if i > 0 and kinds[i - 1] == STEP:
                 continue
             m -= 1
@@ -377,7 +253,6 @@ def backward(
             f -= F_FADE
             S /= fine[f]
         else:
-            c -= triangle
             row -= 1
             rows[row] = dx
             cov_rows[row] = S[:, :n]

@@ -1,9 +1,7 @@
 """Φ of a recorded step and its transpose, applied by the blocks that exist.
 
 The whole transition of a step is D Φ: strapdown error over the interval, then the Gauss-Markov
-decay D of the slow states. What the biases do to position, velocity and attitude is one product
-each: p ← b_a is T/2 of v ← b_a, p ← b_g is T/3 of v ← b_g, and φ ← b_g is v ← b_a. The noise Q is
-laid out as in covariance.py.
+decay D of the slow states. The noise Q is laid out as in covariance.py.
 """
 
 from __future__ import annotations
@@ -39,75 +37,89 @@ from companion.navigation.layout import (
     L_CLOCK,
     L_GNSS,
     L_GYRO_SCALE,
+    L_N,
     POS,
     RAMP,
     VEL,
 )
+from companion.smoothing.phi import (
+    K_AA,
+    K_AV,
+    K_C,
+    K_D,
+    K_PA,
+    K_PP,
+    K_Q,
+    K_R,
+    K_S,
+    K_T,
+    K_VA,
+    K_VP,
+    K_VV,
+)
 from companion.types import F64, I64
 
 
-@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True, counted=False)
-def _row(B: F64, block: int, i: int, x: F64, at: int) -> float:
-    """Row ``i`` of a block times three elements of ``x``."""
-    return float(B[block, i, 0] * x[at] + B[block, i, 1] * x[at + 1] + B[block, i, 2] * x[at + 2])
+@njit("f8(f8[::1], i8, i8, f8[::1], i8)", cache=True, counted=False)
+def _row(K: F64, block: int, i: int, x: F64, at: int) -> float:
+    """Row ``i`` of the nine coefficients from ``block`` on, times three elements of ``x``."""
+    b = block + 3 * i
+    return float(K[b] * x[at] + K[b + 1] * x[at + 1] + K[b + 2] * x[at + 2])
 
 
-@njit("f8(f8[:, :, ::1], i8, i8, f8[::1], i8)", cache=True, counted=False)
-def _column(B: F64, block: int, i: int, x: F64, at: int) -> float:
-    """Column ``i`` of a block times three elements of ``x``."""
-    return float(B[block, 0, i] * x[at] + B[block, 1, i] * x[at + 1] + B[block, 2, i] * x[at + 2])
+@njit("f8(f8[::1], i8, i8, f8[::1], i8)", cache=True, counted=False)
+def _column(K: F64, block: int, i: int, x: F64, at: int) -> float:
+    """Column ``i`` of the nine coefficients from ``block`` on, times three elements of ``x``."""
+    b = block + i
+    return float(K[b] * x[at] + K[b + 3] * x[at + 1] + K[b + 6] * x[at + 2])
 
 
-@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1])", cache=True, counted=False)
-def carry(B: F64, lay: I64, T: float, d: F64, x: F64) -> None:
-    """``x`` (n,) ← diag(d) Φ ``x`` in place, ``B`` the blocks of Φ over ``T`` [s]."""
-    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
+@njit("void(f8[::1], i8[::1], f8[::1], f8[::1])", cache=True, counted=False)
+def carry(K: F64, lay: I64, d: F64, x: F64) -> None:
+    """``x`` (n,) ← diag(d) Φ ``x`` in place, ``K`` as phi.py has Φ."""
+    n, i_sa, i_sg, clock = lay[L_N], lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
+    T = K[K_T]
     half, third = 0.5 * T, T / 3.0
     p0, p1, p2 = x[0], x[1], x[2]
     v0, v1, v2 = x[3], x[4], x[5]
     a0, a1, a2 = x[6], x[7], x[8]
-    x[0] = B[0, 0, 0] * p0 + B[0, 0, 2] * p2 + T * v0
-    x[1] = B[0, 1, 0] * p0 + B[0, 1, 1] * p1 + B[0, 1, 2] * p2 + T * v1
-    x[2] = p2 + T * v2
-    px, py, pz = B[2, 1, 2], B[2, 2, 0], B[2, 0, 1]
-    x[0] += pz * a1 - py * a2
-    x[1] += px * a2 - pz * a0
-    x[2] += py * a0 - px * a1
+    px, py, pz = K[K_PA], K[K_PA + 1], K[K_PA + 2]
+    x[0] = K[K_PP] * p0 + K[K_PP + 1] * p2 + T * v0 + (pz * a1 - py * a2)
+    x[1] = K[K_PP + 2] * p0 + K[K_PP + 3] * p1 + K[K_PP + 4] * p2 + T * v1 + (px * a2 - pz * a0)
+    x[2] = p2 + T * v2 + (py * a0 - px * a1)
+    vx, vy, vz = K[K_VA], K[K_VA + 1], K[K_VA + 2]
+    x[3] = K[K_VV] * v0 + K[K_VV + 1] * v1 + K[K_VV + 2] * v2 + (vz * a1 - vy * a2)
+    x[4] = K[K_VV + 3] * v0 + K[K_VV + 4] * v1 + K[K_VV + 5] * v2 + (vx * a2 - vz * a0)
+    x[5] = K[K_VV + 6] * v0 + K[K_VV + 7] * v1 + v2 + K[K_VP] * p2 + (vy * a0 - vx * a1)
+    wx, wy, wz = K[K_AA], K[K_AA + 1], K[K_AA + 2]
+    x[6] = a0 + (wz * a1 - wy * a2) + K[K_AV] * v1
+    x[7] = a1 + (wx * a2 - wz * a0) + K[K_AV + 1] * v0
+    x[8] = a2 + (wy * a0 - wx * a1) + K[K_AV + 2] * v1
     for i in range(3):
-        x[3 + i] = B[9, i, 0] * v0 + B[9, i, 1] * v1 + B[9, i, 2] * v2
-        x[3 + i] += B[10, i, 0] * a0 + B[10, i, 1] * a1 + B[10, i, 2] * a2
-        x[6 + i] = B[18, i, 0] * a0 + B[18, i, 1] * a1 + B[18, i, 2] * a2
-        u, t = _row(B, 11, i, x, ACCEL_BIAS), _row(B, 12, i, x, GYRO_BIAS)
+        u, t = _row(K, K_C, i, x, ACCEL_BIAS), _row(K, K_D, i, x, GYRO_BIAS)
+        w = _row(K, K_C, i, x, GYRO_BIAS)
+        if i_sa >= 0:
+            u += _row(K, K_S, i, x, i_sa)
+            t += _row(K, K_R, i, x, i_sg)
+            w += _row(K, K_Q, i, x, i_sg)
         x[i] += half * u + third * t
         x[3 + i] += u + t
-        x[6 + i] += _row(B, 11, i, x, GYRO_BIAS)
-        if i_sa >= 0:
-            x[i] += _row(B, 5, i, x, i_sa) + _row(B, 6, i, x, i_sg)
-            x[3 + i] += _row(B, 13, i, x, i_sa) + _row(B, 14, i, x, i_sg)
-            x[6 + i] += _row(B, 22, i, x, i_sg)
-    x[5] += B[8, 2, 2] * p2
-    x[6] += B[17, 0, 1] * v1
-    x[7] += B[17, 1, 0] * v0
-    x[8] += B[17, 2, 1] * v1
+        x[6 + i] += w
     if clock >= 0:
         carry_clock(T, 1.0, x[clock:])
-    for j in range(9, x.shape[0]):
+    for j in range(9, n):
         x[j] *= d[j]
 
 
-@njit("void(f8[:, :, ::1], i8[::1], f8, f8[::1], f8[::1])", cache=True, counted=False)
-def carry_back(B: F64, lay: I64, T: float, d: F64, x: F64) -> None:
+@njit("void(f8[::1], i8[::1], f8[::1], f8[::1])", cache=True, counted=False)
+def carry_back(K: F64, lay: I64, d: F64, x: F64) -> None:
     """``x`` (n,) ← Φᵀ diag(d) ``x`` in place: what does not need p, v, φ as they were goes last."""
-    i_sa, i_sg, clock = lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
-    for j in range(9, x.shape[0]):
+    n, i_sa, i_sg, clock = lay[L_N], lay[L_ACCEL_SCALE], lay[L_GYRO_SCALE], lay[L_CLOCK]
+    T = K[K_T]
+    for j in range(9, n):
         x[j] *= d[j]
     if clock >= 0:
         carry_clock_back(T, x[clock:])
-    if i_sa >= 0:
-        for i in range(3):
-            x[i_sa + i] += _column(B, 5, i, x, 0) + _column(B, 13, i, x, 3)
-            x[i_sg + i] += _column(B, 6, i, x, 0) + _column(B, 14, i, x, 3)
-            x[i_sg + i] += _column(B, 22, i, x, 6)
     half, third = 0.5 * T, T / 3.0
     p0, p1, p2 = x[0], x[1], x[2]
     v0, v1, v2 = x[3], x[4], x[5]
@@ -115,23 +127,27 @@ def carry_back(B: F64, lay: I64, T: float, d: F64, x: F64) -> None:
     t0, t1, t2 = v0 + half * p0, v1 + half * p1, v2 + half * p2
     u0, u1, u2 = v0 + third * p0, v1 + third * p1, v2 + third * p2
     for i in range(3):
-        c0, c1, c2 = B[11, 0, i], B[11, 1, i], B[11, 2, i]
+        c0, c1, c2 = K[K_C + i], K[K_C + 3 + i], K[K_C + 6 + i]
         x[9 + i] += c0 * t0 + c1 * t1 + c2 * t2
         x[12 + i] += c0 * a0 + c1 * a1 + c2 * a2
-        x[12 + i] += B[12, 0, i] * u0 + B[12, 1, i] * u1 + B[12, 2, i] * u2
-        x[3 + i] = B[9, 0, i] * v0 + B[9, 1, i] * v1 + B[9, 2, i] * v2
-        x[6 + i] = B[18, 0, i] * a0 + B[18, 1, i] * a1 + B[18, 2, i] * a2
-    x[0] = B[0, 0, 0] * p0 + B[0, 1, 0] * p1
-    x[1] = B[0, 1, 1] * p1
-    x[2] = B[0, 0, 2] * p0 + B[0, 1, 2] * p1 + p2 + B[8, 2, 2] * v2
-    x[3] += T * p0 + B[17, 1, 0] * a1
-    x[4] += T * p1 + B[17, 0, 1] * a0 + B[17, 2, 1] * a2
-    x[5] += T * p2
-    px, py, pz = B[2, 1, 2], B[2, 2, 0], B[2, 0, 1]
-    vx, vy, vz = B[10, 1, 2], B[10, 2, 0], B[10, 0, 1]
-    x[6] += (py * p2 - pz * p1) + (vy * v2 - vz * v1)
-    x[7] += (pz * p0 - px * p2) + (vz * v0 - vx * v2)
-    x[8] += (px * p1 - py * p0) + (vx * v1 - vy * v0)
+        x[12 + i] += K[K_D + i] * u0 + K[K_D + 3 + i] * u1 + K[K_D + 6 + i] * u2
+        if i_sa >= 0:
+            x[i_sa + i] += K[K_S + i] * t0 + K[K_S + 3 + i] * t1 + K[K_S + 6 + i] * t2
+            x[i_sg + i] += K[K_R + i] * u0 + K[K_R + 3 + i] * u1 + K[K_R + 6 + i] * u2
+            x[i_sg + i] += _column(K, K_Q, i, x, 6)
+    px, py, pz = K[K_PA], K[K_PA + 1], K[K_PA + 2]
+    vx, vy, vz = K[K_VA], K[K_VA + 1], K[K_VA + 2]
+    wx, wy, wz = K[K_AA], K[K_AA + 1], K[K_AA + 2]
+    x[0] = K[K_PP] * p0 + K[K_PP + 2] * p1
+    x[1] = K[K_PP + 3] * p1
+    x[2] = K[K_PP + 1] * p0 + K[K_PP + 4] * p1 + p2 + K[K_VP] * v2
+    x[3] = T * p0 + K[K_VV] * v0 + K[K_VV + 3] * v1 + K[K_VV + 6] * v2 + K[K_AV + 1] * a1
+    x[4] = T * p1 + K[K_VV + 1] * v0 + K[K_VV + 4] * v1 + K[K_VV + 7] * v2
+    x[4] += K[K_AV] * a0 + K[K_AV + 2] * a2
+    x[5] = T * p2 + K[K_VV + 2] * v0 + K[K_VV + 5] * v1 + v2
+    x[6] = (py * p2 - pz * p1) + (vy * v2 - vz * v1) + (a0 + wy * a2 - wz * a1)
+    x[7] = (pz * p0 - px * p2) + (vz * v0 - vx * v2) + (a1 + wz * a0 - wx * a2)
+    x[8] = (px * p1 - py * p0) + (vx * v1 - vy * v0) + (a2 + wx * a1 - wy * a0)
 
 
 @njit("void(f8, i8[::1], f8[::1], f8[::1])", cache=True, counted=False)

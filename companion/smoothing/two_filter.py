@@ -31,7 +31,7 @@ def two_filter(
     config: Config,
     fading: Fading = "consistent",
 ) -> Solution:
-    """The simplified two-filter solution at the output rows of ``tapes``, which carry P.
+    """The simplified two-filter solution at the output rows of ``tapes``.
 
     ``reports`` of the same run say where GNSS was missing. Epochs for which the run backwards has
     nothing stay as they are.
@@ -77,8 +77,8 @@ def _of_chunk(
     chunk: Chunk, back: Backward, gaps: list[tuple[int, int]], config: Config, fading: Fading
 ) -> Solution:
     layout = par.layout(config)
-    own = covariance_at_rows(chunk, layout.vector(), par.parameter_vector(config))
-    P, P_back = square(own, layout.n), square(back.triangle, layout.n)
+    P = covariance_at_rows(chunk, layout.vector(), par.parameter_vector(config))
+    P_back = square(back.triangle, layout.n)
     P_back[~back.known] = P[~back.known]
     weights = by_variance(_variances(P), _variances(P_back))
     for gap in gaps:

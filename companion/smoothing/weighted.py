@@ -29,7 +29,7 @@ from companion.smoothing.correction import (
     state_rows,
 )
 from companion.smoothing.offline import SmoothingError
-from companion.smoothing.tape_states import optional, states_at_rows
+from companion.smoothing.tape_states import covariance_at_rows, optional, states_at_rows
 from companion.smoothing.two_filter import by_stretch
 from companion.types import F64, Solution
 
@@ -39,7 +39,7 @@ def two_filter_weighted(
 ) -> Solution:
     """The covariance-weighted two-filter solution at the output rows of ``tapes``.
 
-    The tapes must carry P. Raises :class:`SmoothingError` where a covariance cannot be inverted.
+    Raises :class:`SmoothingError` where a covariance cannot be inverted.
     """
     parts = []
     for tape, stretch in by_stretch(tapes, stretches):
@@ -52,9 +52,9 @@ def two_filter_weighted(
 def _of_chunk(chunk: Chunk, back: Backward, config: Config) -> Solution:
     layout = par.layout(config)
     lay, n = layout.vector(), layout.n
-    extra, triangle = states_at_rows(chunk, lay, par.parameter_vector(config))
+    extra = states_at_rows(chunk, lay, par.parameter_vector(config))
     rows = chunk.nominal.copy()
-    P = square(triangle, n)
+    P = covariance_at_rows(chunk, lay, par.parameter_vector(config))
     cov = P.copy()
     dx = np.zeros((len(rows), n))
     known = back.known

@@ -3,7 +3,8 @@
     δx = −P λ̂ ,   P_s = P − P Λ̂ P
 
 with λ and Λ zero at the newest fix, taken back to the oldest interval (see bryson_frazier.py for
-the recursions). The rows of that interval hold P, so nothing else has to be walked.
+the recursions). The rows of that interval hold P, so nothing else has to be walked. Λ is a product
+of columns as long as these are few (factor.py).
 
 Duong & Chiang 2012, section 3 (there with RTS): smoothing from each update back over ``n_up``
 intervals, given out in forward order of time.
@@ -19,8 +20,6 @@ from companion.estimation.tape import (
     F32,
     F_FADE,
     F_GAIN,
-    F_STEP,
-    F_STEP_WITH_SCALE,
     F_TIME,
     F_TURN,
     FADE,
@@ -33,18 +32,17 @@ from companion.estimation.tape import (
     STEP,
     TURN,
     UPDATE,
-    read_step,
     read_time,
 )
 from companion.estimation.walk import O_COV, ROW_SIZE
-from companion.navigation.error_model import transition_blocks
-from companion.navigation.layout import L_ACCEL_SCALE, L_N
+from companion.navigation.layout import L_N
 from companion.smoothing.composite import (
     LAM,
     S_D,
     S_DECAY,
     S_DX,
     S_H,
+    S_K,
     S_LAM,
     S_P,
     S_U,
@@ -58,6 +56,13 @@ from companion.smoothing.composite import (
     take_back,
 )
 from companion.smoothing.correction import correct
+from companion.smoothing.factor import (
+    MOST,
+    multiply_out,
+    smoothed_by_columns,
+    take_columns_back,
+)
+from companion.smoothing.phi import K_SIZE, coefficients, step_size
 from companion.smoothing.transition import decay_factors
 from companion.types import F64, I64, Flags
 
@@ -130,30 +135,26 @@ def smooth_window(
     finite or a variance not positive: then the rows are of no use.
     """
     n = lay[L_N]
-    step = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
+    step = step_size(lay)
     B = scratch[:S_D].reshape((24, 3, 3))
     d, w, D = scratch[S_D : S_D + n], scratch[S_H : S_H + n], scratch[S_DECAY : S_DECAY + n]
     dx = scratch[S_DX : S_DX + n].reshape((1, n))
-    X = scratch[S_X : S_X + n * WIDTH]
+    K, X = scratch[S_K : S_K + K_SIZE], scratch[S_X : S_X + n * WIDTH]
     P, Lam = scratch[S_P : S_P + n * STRIDE], scratch[S_LAM : S_LAM + n * STRIDE]
     U, V = scratch[S_U : S_U + n * STRIDE], scratch[S_V : S_V + n * STRIDE]
-    begin(X, lay)
-    for j in range(n):
-        X[j * WIDTH + LAM] = 0.0
-    Lam[:] = 0.0
+    X[:] = 0.0
     D[:] = 1.0
-    pending = False
+    columns, whole, pending = 0, False, False
     at_c, f, row = c[COARSE], c[FINE], t.shape[0]
     for i in range(c[KIND] - 1, a[KIND] - 1, -1):
         kind = kinds[i]
         f -= numbers_of(kind, n, step)
         if kind == STEP:
             at_c -= C_STEP
-            read_step(coarse[at_c : at_c + C_STEP], fine[f : f + step], s)
-            transition_blocks(s, B)
+            coefficients(coarse[at_c : at_c + C_STEP], fine[f : f + step], lay, s, B, K)
             decay_factors(fine[f], lay, par, d)
-            step_back(B, lay, fine[f], d, X, D)
-            pending = True
+            step_back(K, lay, d, X, D)
+            pending = whole
             continue
         if kind == FIX or (kind < 0 and i >= b[KIND]):
             continue
@@ -165,8 +166,16 @@ def smooth_window(
         if pending:
             flush(X, D, Lam, lay, U, V)
             pending = False
-        if kind >= 0:
+        if kind >= UPDATE and columns == MOST and not whole:
+            multiply_out(X, n, Lam)
+            begin(X, lay)
+            D[:] = 1.0
+            whole = True
+        if kind >= 0 and whole:
             take_back(kind, fine[f:], n, X, Lam, d, w)
+        elif kind >= 0:
+            take_columns_back(kind, fine[f:], n, X, columns, d, w)
+            columns += kind >= UPDATE
         else:
             row -= 1
             copy_row(fine, f, row, rows, t, ROW_SIZE)
@@ -175,14 +184,18 @@ def smooth_window(
                 for k in range(j, n):
                     P[j * STRIDE + k] = P[k * STRIDE + j] = fine[at + k - j]
                 at += n - j
-            for j in range(n):
-                dx[0, j] = 0.0
-            for k in range(n):
-                g = X[k * WIDTH + LAM]
+            blocks = rows[row, O_COV : O_COV + 30]
+            if whole:
                 for j in range(n):
-                    dx[0, j] -= g * P[k * STRIDE + j]
+                    dx[0, j] = 0.0
+                for k in range(n):
+                    g = X[k * WIDTH + LAM]
+                    for j in range(n):
+                        dx[0, j] -= g * P[k * STRIDE + j]
+                smoothed_blocks(P, Lam, n, V, blocks)
+            else:
+                smoothed_by_columns(P, X, n, V, dx[0], blocks)
             correct(rows[row : row + 1], dx, lay)
-            smoothed_blocks(P, Lam, n, V, rows[row, O_COV : O_COV + 30])
             smoothed[row] = True
             if not _sound(rows[row]):
                 return BROKEN

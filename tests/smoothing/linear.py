@@ -28,7 +28,6 @@ class LinearRun:
     kinds: tp.I8
     coarse: tp.F32
     fine: F64
-    triangle: int
     P0: F64
     forward: F64
     """(rows, n) filter's estimate at each row."""
@@ -92,7 +91,7 @@ def linear_run(
     run_s0, P0 = s.copy(), P.copy()
     kinds = np.zeros(10_000, np.int8)
     coarse, fine = np.zeros(400_000, np.float32), np.zeros(400_000)
-    at = np.array([0, 0, 0, tp.WITH_COVARIANCE, 0, 0], np.int64)
+    at = np.array([0, 0, 0, tp.MARKED, 0, 0], np.int64)
     tape = (kinds, coarse, fine, at)
     # the joint Gaussian of the states at all instants, grown as the run goes on
     mean, joint = np.zeros(n), np.diag(sd**2)
@@ -173,7 +172,7 @@ def linear_run(
     cov = joint - gain_all @ cross.T
     picks = [slice(i * n, (i + 1) * n) for i in row_at]
     return LinearRun(
-        lay, p, run_s0, kinds[: at[0]], coarse[: at[1]], fine[: at[2]], n * (n + 1) // 2, P0,
+        lay, p, run_s0, kinds[: at[0]], coarse[: at[1]], fine[: at[2]], P0,
         np.array(rows), np.array([posterior[i] for i in picks]),
         np.array([f * cov[i, i] for f, i in zip(fade_at, picks, strict=True)]), steps,
     )  # fmt: skip

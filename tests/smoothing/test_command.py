@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from replay.run_log import read_solution
@@ -50,3 +51,24 @@ def test_evaluate_and_export_take_it(run: tuple[Path, dict], tmp_path: Path) -> 
     )
     made = _json("export", out, "--solution", "smoothed", "-o", tmp_path / "track.csv", "--json")
     assert made["epochs"] == printed["vehicles"][0]["epochs"]
+
+
+def test_a_log_cut_off_in_flight_smooths_up_to_the_cut(
+    run: tuple[Path, dict], tmp_path: Path
+) -> None:
+    """A run log without its end, as after a power loss: in the middle of a chunk."""
+    whole, printed = run
+    cut = tmp_path / "cut.mcap"
+    data = whole.read_bytes()
+    cut.write_bytes(data[: len(data) * 6 // 10])
+    made = _json("smooth", cut, "--out", tmp_path / "cut.smoothed.mcap", "--json")
+    (vehicle,) = made["vehicles"]
+    assert 0 < vehicle["epochs"] < printed["vehicles"][0]["epochs"]
+    before, after = (read_solution(p) for p in (whole, tmp_path / "cut.smoothed.mcap"))
+    assert before.smoothed is not None
+    assert after.smoothed is not None
+    # Its first half has all the future that matters.
+    half = after.smoothed.take(slice(0, len(after.smoothed) // 2))
+    same = before.smoothed.take(np.flatnonzero(np.isin(before.smoothed.t_ns, half.t_ns)))
+    assert np.array_equal(same.t_ns, half.t_ns)
+    assert np.abs(same.lat - half.lat).max() * 6.4e6 < 0.5

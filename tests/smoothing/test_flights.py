@@ -59,7 +59,7 @@ def test_both_methods_agree(
     assert np.abs(one.vel_n - two.vel_n).max() < 1e-6
     assert np.abs(one.q_nb - two.q_nb).max() < 1e-7
     sd_one, sd_two = one.sd, two.sd
-    assert np.abs(sd_one / sd_two - 1).max() < 0.01  # P on the tape is in single precision
+    assert np.abs(sd_one / sd_two - 1).max() < 1e-4  # P − P Λ P: what is left of a larger P
 
 
 def test_smoothed_is_surer_and_better(
@@ -88,7 +88,8 @@ def test_states_alone_are_the_same(flight: tuple[VehicleRecording, Config]) -> N
     assert np.array_equal(one.lat, two.lat)
     assert np.array_equal(one.q_nb, two.q_nb)
     assert np.isnan(two.cov).all()
-    assert without.tape_bytes < with_covariance.tape_bytes
+    # P is walked again where it is asked for: it costs no memory.
+    assert without.tape_bytes == with_covariance.tape_bytes
 
 
 def test_a_declared_break_is_not_smoothed_over(flight: tuple[VehicleRecording, Config]) -> None:
