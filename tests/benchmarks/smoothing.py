@@ -24,6 +24,7 @@ from replay.on_line import on_line_config, smooth_on_line
 from replay.preparation import withhold_gnss
 from replay.reader import read_log
 from replay.recorded import RecordedRun, record
+from replay.smoothing import record_for, smoothed
 from replay.window import Window
 from tests.benchmarks.car import ANTENNA_B, LENGTHS_S, places, variant
 from tests.benchmarks.common import ROOT, errors_against, need_data, start_ns, table
@@ -92,6 +93,10 @@ def cost() -> str:
     def back(covariance: bool, method: Method) -> Callable[[], Solution]:
         return lambda: smooth(runs[str(covariance)].tapes, config, method)
 
+    def two_filters() -> Solution:
+        run = record_for("two-filter", vehicle, config)
+        return smoothed(run, "two-filter")
+
     def on_line(window: int | None) -> Callable[[], object]:
         played = config if window is None else on_line_config(config, window, RATE_HZ)
         return lambda: smooth_on_line(vehicle, played)
@@ -103,6 +108,7 @@ def cost() -> str:
         "Bryson-Frazier, states": back(False, "bryson-frazier"),
         "Bryson-Frazier, covariance": back(True, "bryson-frazier"),
         "RTS": back(False, "rts"),
+        "two-filter": two_filters,
         "as played": on_line(None),
         **{f"on line, window {w}": on_line(w) for w in WINDOWS},
     }
@@ -121,6 +127,8 @@ def cost() -> str:
         extra = cpu[tape] + cpu[back_name] - one
         history = runs[str(name == "with covariance")].tape_bytes / 1e6
         rows.append([name, f"{100 * extra / one:+.0f} %", f"{history:.0f} MB"])
+    extra = cpu["two-filter"] - one
+    rows.append(["two-filter", f"{100 * extra / one:+.0f} %", ""])
     for window in WINDOWS:
         extra = cpu[f"on line, window {window}"] - cpu["as played"]
         name = f"on line with covariance, window {window}"

@@ -57,6 +57,7 @@ def flight(seconds: float) -> tuple[VehicleRecording, Config, list[Window]]:
         mag=replace(config.mag, sd_deg=_SURE_HEADING_DEG),
         constraints=replace(config.constraints, zero_velocity=False),
         # The batch takes every fix.
+        source_faults=replace(config.source_faults, detect=False),
         engine=replace(config.engine, gate_probability=1.0 - 1e-12),
     )
     starts = np.arange(100.0, seconds - 80.0, 300.0)

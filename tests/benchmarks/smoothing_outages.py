@@ -31,6 +31,7 @@ WINDOWS = (1, 3, 5, 7)
 METHODS: dict[Method, str] = {
     "two-filter-straight": "two-filter, straight",
     "two-filter": "two-filter",
+    "two-filter-weighted": "two-filter, covariances",
     "bryson-frazier": "optimal",
 }
 FLIGHTS = ("c3_outage", "p1_plane_outage")
