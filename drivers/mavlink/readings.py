@@ -21,11 +21,13 @@ class Readings:
     """Which rows of one stream are new readings, however the stream is cut into calls."""
 
     def __init__(self) -> None:
-        self._value: F64 | None = None
+        self._value: list[float] | None = None
         self._since_ns = self._last_ns = 0
 
     def new(self, values: F64, t_ns: I64) -> Rows:
         """(N,) which rows of ``values`` (N, k), N ≥ 1, stamped ``t_ns`` (N,), are new readings."""
+        if len(t_ns) == 1 and self._value is not None:
+            return np.array([self._one(values[0].tolist(), int(t_ns[0]))])
         held = 0 if self._value is None else 2
         if self._value is not None:
             values = np.concatenate([[self._value, self._value], values])
@@ -34,7 +36,17 @@ class Readings:
         since = np.maximum.accumulate(np.where(changed, np.arange(len(changed)), 0))
         cell = (t_ns - t_ns[since]) // HELD_NS
         again = np.concatenate([[False], np.diff(cell) != 0])
-        self._value = values[-1]
+        self._value = values[-1].tolist()
         self._since_ns, self._last_ns = int(t_ns[since[-1]]), int(t_ns[-1])
         rows: Rows = (changed | again)[held:]
         return rows
+
+    def _one(self, value: list[float], t_ns: int) -> bool:
+        """The same for one row: live, at the rate of the inertial messages."""
+        changed = value != self._value
+        since = self._since_ns
+        again = (t_ns - since) // HELD_NS != (self._last_ns - since) // HELD_NS
+        self._value, self._last_ns = value, t_ns
+        if changed:
+            self._since_ns = t_ns
+        return changed or again
