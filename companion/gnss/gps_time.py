@@ -23,6 +23,10 @@ _LEAPS = [
 """GPS seconds from which one leap second more counts (IERS Bulletin C)."""
 
 
+MOST_WEEKS = 10_000
+"""August 2171: what claims to be later is broken, and soon past what nanoseconds can count."""
+
+
 def gps_ns(week: int, tow_s: float) -> int:
     """Nanoseconds since the GPS epoch."""
     return week * WEEK_NS + round(tow_s * NS)
@@ -42,12 +46,14 @@ def leap_seconds(gps_s: float) -> int:
 def gps_from_calendar(year: int, month: int, day: int, second_of_day: float) -> tuple[int, float]:
     """Week and second of week of a date that is written in GPS time.
 
-    Raises :class:`ValueError` for what is no date.
+    Raises :class:`ValueError` for what is no date, or none that a measurement can have.
     """
     days = (datetime(year, month, day, tzinfo=UTC) - datetime(1980, 1, 6, tzinfo=UTC)).days
     week, day_of_week = divmod(days, 7)
     total = day_of_week * 86_400 + second_of_day
     extra = int(total // WEEK_S)
+    if not 0 <= week + extra < MOST_WEEKS:
+        raise ValueError(f"year {year}")
     return week + extra, total - extra * WEEK_S
 
 

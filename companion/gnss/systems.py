@@ -38,6 +38,6 @@ def satellite_number(name: str) -> int:
     """The reverse of :func:`satellite_name`; 0 for what is none of ours. `` `` or ``G`` is GPS."""
     letter, digits = name[:1], name[1:].strip()
     system = LETTERS.find("G" if letter in ("", " ") else letter)
-    if system < 0 or not digits.isdigit():
+    if system < 0 or not (digits.isascii() and digits.isdigit()):
         return 0
     return satellite(system, int(digits))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.gnss.gps_time import gps_from_calendar
+from companion.gnss.gps_time import MOST_WEEKS, gps_from_calendar
 from companion.gnss.systems import B3_HZ, B3I, CARRIER_HZ, PRIMARY, C, satellite
 from companion.types import F64, I64
 
@@ -52,7 +52,7 @@ def raw_epoch(payload: bytes) -> RawEpoch | None:
     tow, week, leap, count, status, _, _ = _RAWX_HEAD.unpack_from(payload)
     if len(payload) != _RAWX_HEAD.size + _RAWX_ROW.itemsize * count:
         return None
-    if not 0.0 <= tow < 604_801.0:
+    if not 0.0 <= tow < 604_801.0 or week >= MOST_WEEKS:
         return None
     rows = np.frombuffer(payload, _RAWX_ROW, count, _RAWX_HEAD.size)
     chosen: dict[int, tuple[int, int]] = {}

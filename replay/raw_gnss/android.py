@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from companion.gnss.gps_time import MOST_WEEKS
 from companion.gnss.systems import CARRIER_HZ, C, satellite
 from companion.types import LogFormatError, RawGnssSamples
 from replay.raw_gnss.epochs import Epoch, Observation, possible, raw_samples
@@ -68,6 +69,8 @@ def read_gnss_logger(path: Path) -> tuple[RawGnssSamples, list[str]]:
             o = _observation(f, received)
             if f["TimeNanos"] != last:
                 week, rest = divmod(received, _WEEK_NS)
+                if not 0 <= week < MOST_WEEKS:
+                    raise ValueError(received)
                 if epochs and not epochs[-1].satellites:
                     epochs.pop()
                 fraction = float(f.get("BiasNanos") or 0.0)

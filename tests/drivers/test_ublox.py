@@ -15,6 +15,7 @@ from companion.types import BroadcastSamples, GnssSamples, RawGnssSamples
 from drivers.ublox.decoder import UbxDecoder, UbxSamples
 from drivers.ublox.framer import Framer, pack
 from drivers.ublox.messages import NAV_PVT, RXM_RAWX, RXM_SFRBX, pvt, raw_epoch, subframe
+from replay.simulator.live import ubx
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +66,13 @@ def test_messages_of_wrong_length_are_none(size: int) -> None:
     assert raw_epoch(bytes([0] * 11 + [7] + [0] * size)) is None
     assert subframe(bytes([0, 1, 0, 0, 9]) + bytes(size)) is None
     assert pvt(bytes(min(size, 83))) is None
+
+
+def test_a_week_of_another_century_is_no_epoch() -> None:
+    sats, ranges = np.array([104]), np.array([2.2e7])
+    decoder = UbxDecoder()
+    assert decoder.feed(ubx.rawx(60_000, 30.0, sats, ranges, np.zeros(1))) == []
+    assert decoder.counters.malformed == 1
 
 
 def test_rubbish_in_frames_that_check_is_counted_and_never_raised() -> None:

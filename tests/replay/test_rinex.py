@@ -105,6 +105,14 @@ def test_columns_that_a_header_interchanges_are_no_ranges(tmp_path: Path, wrong:
     assert notes == ["test.obs: 2 lines or epochs that cannot be, left out"]
 
 
+@pytest.mark.parametrize("name", ["G\xb3\xb3", "G -1", "G+1", "G1.", "GG1", "G99", "G 0"])
+def test_satellites_that_are_none_are_left_out(tmp_path: Path, name: str) -> None:
+    """A superscript three, byte B3, is a digit to Python and no number."""
+    path = tmp_path / "test.obs"
+    path.write_bytes(OBS_3.replace("G 1", name).encode("latin-1"))
+    assert read_observations(path)[0].sat[:, :2].tolist() == [[210, 0]]
+
+
 def test_a_file_of_beidou_alone_is_in_its_own_time_unless_it_says_otherwise(tmp_path: Path) -> None:
     one = OBS_3.replace("OBSERVATION DATA    M", "OBSERVATION DATA    C")
     assert len(read_observations(_written(tmp_path, one))[0]) == 2
@@ -120,6 +128,8 @@ def test_broken_epochs_are_left_out_and_counted(tmp_path: Path) -> None:
     assert notes == ["test.obs: 2 lines or epochs that cannot be, left out"]
     back = OBS_3.replace("11 12 43.0940000  0", "11 12 41.0940000  0")
     assert len(read_observations(_written(tmp_path, back))[0]) == 1
+    far = OBS_3.replace("> 2023  6 29 11 12 43", "> 9023  6 29 11 12 43")
+    assert len(read_observations(_written(tmp_path, far))[0]) == 1
     absurd = OBS_3.replace("21487700.882", "91487700.882")
     assert len(read_observations(_written(tmp_path, absurd))[0]) == 1
     cut = OBS_3[: OBS_3.index("R 2")]
