@@ -10,7 +10,7 @@ from companion.types import Mode
 from . import headings
 
 KINDS = ("multirotor-mission", "car-with-stops")
-STEP_DEG = {"multirotor-mission": 45.0, "car-with-stops": 30.0}
+STEP_DEG = {"multirotor-mission": 72.0, "car-with-stops": 30.0}
 FOUND_S = 3.0
 """From 0.5 m/s on. A speed v seen by a receiver of 0.1 m/s gives a heading to 0.14 / v rad: 8° take
 1 m/s, reached within a second at the 1.5 m/s² or more of both; then two fixes and two turns of the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 
 from companion.config import Config
 from companion.engine import Engine
-from companion.types import AnySamples, ImuSamples, Solution, VehicleRecording
+from companion.types import NS, AnySamples, ImuSamples, Samples, Solution, VehicleRecording
 from replay.player import arrivals, play
 from replay.simulator import load_scenario, matching_config, simulate
 
+S = TypeVar("S", bound=Samples)
 _LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+BEGINNING_S = 120.0
+"""Rest, the search for the heading, its end, and more than a minute of motion after it."""
 
 
 def flight_of(name: str, heading: str = "auto") -> tuple[VehicleRecording, Config]:
@@ -28,7 +32,24 @@ def flight_of(name: str, heading: str = "auto") -> tuple[VehicleRecording, Confi
     config = msgspec.structs.replace(config, imu=imu)
     alignment = msgspec.structs.replace(config.alignment, heading=heading)
     gnss = msgspec.structs.replace(config.gnss, latency_ms=0.0)
-    return simulate(scenario, 3), msgspec.structs.replace(config, alignment=alignment, gnss=gnss)
+    config = msgspec.structs.replace(config, alignment=alignment, gnss=gnss)
+    return beginning(simulate(scenario, 3)), config
+
+
+def beginning(vehicle: VehicleRecording) -> VehicleRecording:
+    """The first :data:`BEGINNING_S` of what the filter takes."""
+    end = vehicle.imu[0].t_ns[0] + round(BEGINNING_S * NS)
+
+    def cut(streams: tuple[S, ...]) -> tuple[S, ...]:
+        return tuple(s.take(s.t_ns < end) for s in streams)
+
+    return replace(
+        vehicle,
+        imu=cut(vehicle.imu),
+        gnss=cut(vehicle.gnss),
+        baro=cut(vehicle.baro),
+        mag=cut(vehicle.mag),
+    )
 
 
 @pytest.fixture(scope="module", params=["multirotor-mission", "car-with-stops"])
