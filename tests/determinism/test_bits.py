@@ -22,7 +22,9 @@ BEGINNING_S = 120.0
 """Rest, the search for the heading, its end, and more than a minute of motion after it."""
 
 
-def flight_of(name: str, heading: str = "auto") -> tuple[VehicleRecording, Config]:
+def flight_of(
+    name: str, heading: str = "auto", seconds: float = BEGINNING_S
+) -> tuple[VehicleRecording, Config]:
     scenario = load_scenario(name)
     config = matching_config(scenario)
     # A tilted mounting, so that the turn into body axes is part of what must not change.
@@ -33,12 +35,12 @@ def flight_of(name: str, heading: str = "auto") -> tuple[VehicleRecording, Confi
     alignment = msgspec.structs.replace(config.alignment, heading=heading)
     gnss = msgspec.structs.replace(config.gnss, latency_ms=0.0)
     config = msgspec.structs.replace(config, alignment=alignment, gnss=gnss)
-    return beginning(simulate(scenario, 3)), config
+    return beginning(simulate(scenario, 3), seconds), config
 
 
-def beginning(vehicle: VehicleRecording) -> VehicleRecording:
-    """The first :data:`BEGINNING_S` of what the filter takes."""
-    end = vehicle.imu[0].t_ns[0] + round(BEGINNING_S * NS)
+def beginning(vehicle: VehicleRecording, seconds: float) -> VehicleRecording:
+    """The first ``seconds`` of what the filter takes."""
+    end = vehicle.imu[0].t_ns[0] + round(seconds * NS)
 
     def cut(streams: tuple[S, ...]) -> tuple[S, ...]:
         return tuple(s.take(s.t_ns < end) for s in streams)
