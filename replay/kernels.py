@@ -31,7 +31,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "direct": ("companion.estimation.direct",),
     "gnss": (
         "companion.gnss", "companion.measurements.pseudorange",
-        "companion.estimation.receiver_clock",
+        "companion.estimation.receiver_clock", "companion.estimation.adaptation.constellations",
     ),
     "several imus": ("companion.intake.fusion",),
     "files": ("replay.candump", "replay.dataflash_codec"),
