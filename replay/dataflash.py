@@ -23,6 +23,8 @@ from companion.types import (
     Recording,
     ReferenceSamples,
 )
+from drivers.ublox.interference import INDICATOR_FULL
+from replay.clipping import with_counter
 from replay.clocks import Clock, boot_sessions, interpolation, unwrapped_interpolation
 from replay.dataflash_codec import Columns, DataFlash, index_dataflash
 from replay.streams import finish_vehicle, unknown, wrap
@@ -143,15 +145,27 @@ def _stack(columns: Columns, *labels: str) -> F64:
 
 def _imus(log: DataFlash, clock: Clock) -> list[ImuSamples]:
     gyro, accel = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
-    out = []
+    out: list[ImuSamples] = []
     for source, unit in _instances(log, "IMU"):
         times = _times(unit, clock)
         if times is not None and unit.has(*gyro, *accel):
             instant = np.full(len(unit), np.nan)
-            out.append(
-                ImuSamples(source, *times, _stack(unit, *gyro), _stack(unit, *accel), instant)
-            )
+            imu = ImuSamples(source, *times, _stack(unit, *gyro), _stack(unit, *accel), instant)
+            out.append(_clipped(log, clock, imu, len(out)))
     return out
+
+
+def _clipped(log: DataFlash, clock: Clock, imu: ImuSamples, number: int) -> ImuSamples:
+    """``imu`` with what VIBE counts of accelerometer ``number``: a message for each in new logs,
+    one with three counters in old ones."""
+    vibe = log.columns("VIBE")
+    if "IMU" in vibe.integers and "Clip" in vibe.integers:
+        vibe, label = vibe.take(vibe.integers["IMU"] == number), "Clip"
+    else:
+        label = f"Clip{number}"
+    if label not in vibe.integers:
+        return imu
+    return with_counter(imu, vibe.order, clock.rx_ns[vibe.order], vibe.integers[label])
 
 
 def _baros(log: DataFlash, clock: Clock) -> list[BaroSamples]:
@@ -192,6 +206,21 @@ def _accuracies(log: DataFlash, source: str, boot_us: I64) -> tuple[F64, F64]:
     return np.stack([h, h, v], axis=1), np.stack([s, s, s], axis=1)
 
 
+def _interference(log: DataFlash, source: str, order: I64) -> F64:
+    """(N,) u-blox's indicator of jamming, of UBX1 the last one before each record of ``order``."""
+    share = np.full(order.shape[0], np.nan)
+    indicators = log.columns("UBX1")
+    number = {"GPS2": 1, "GPS[1]": 1}.get(source, 0)
+    if "jamInd" not in indicators.integers:
+        return share
+    if "Instance" in indicators.integers:
+        indicators = indicators.take(indicators.integers["Instance"] == number)
+    at = np.searchsorted(indicators.order, order) - 1
+    known = at >= 0
+    share[known] = np.clip(indicators.integers["jamInd"][at[known]] / INDICATOR_FULL, 0.0, 1.0)
+    return share
+
+
 def _fixes(log: DataFlash, clock: Clock) -> list[GnssSamples]:
     """Every receiver; heights AMSL. A record that repeats the stamp before is not a new fix."""
     out = []
@@ -223,6 +252,7 @@ def _fixes(log: DataFlash, clock: Clock) -> list[GnssSamples]:
                 sd_vel,
                 sats,
                 np.clip(unit.integers.get("Status", v["Status"].astype(np.int64)), 0, 6),
+                _interference(log, source, unit.order),
             )
         )
     return out

@@ -33,6 +33,7 @@ from drivers.mavlink.dialect import message_id
 from drivers.mavlink.framer import U8, FrameIndex, index_frames
 from drivers.mavlink.readings import Readings
 from drivers.mavlink.samples import Stamps, Table, column, triple
+from replay.clipping import with_counter
 from replay.clocks import (
     Clock,
     plausible_wall,
@@ -89,7 +90,12 @@ def _boot_references(buf: U8, index: FrameIndex, rows: I64) -> tuple[I64, I64]:
 def _imu(stream: _Stream, name: str) -> ImuSamples | None:
     """One inertial message as samples; None if it is absent or not in its documented units."""
     table, rows = stream.message(name)
-    return messages.imu(name, table, stream.stamps(rows, messages.boot_us(table)))
+    samples = messages.imu(name, table, stream.stamps(rows, messages.boot_us(table)))
+    counters, at = stream.message(messages.VIBRATION)
+    if samples is None or not at.shape[0]:
+        return samples
+    count = messages.clip_counts(counters)[:, messages.ACCELEROMETER.get(name, 0)]
+    return with_counter(samples, at * _PER_FRAME, stream.clock.rx_ns[at], count)
 
 
 def _mag(stream: _Stream, name: str) -> MagSamples | None:

@@ -29,6 +29,7 @@ from companion.types import (
     Recording,
     ReferenceSamples,
 )
+from drivers.ublox.interference import INDICATOR_FULL, STATE_SHARE
 from replay.clocks import interpolation, unwrapped_interpolation
 from replay.streams import finish_vehicle, numbered, unknown, wrap
 
@@ -159,8 +160,18 @@ def _imus(topics: Logged, offset_ns: int) -> list[ImuSamples]:
             # Seconds as float in 2016-17, microseconds as integer since.
             seconds = dt.astype(np.float64) * (1.0 if dt.dtype.kind == "f" else 1e-6)
             interval = np.where((seconds > 0) & (seconds < 1), seconds, np.nan)
-        out.append(ImuSamples(source, *_times(topic, offset_ns), gyro, accel, interval))
+        times, clipped = _times(topic, offset_ns), _clipped(topic, gyro.shape[0])
+        out.append(ImuSamples(source, *times, gyro, accel, interval, clipped))
     return out
+
+
+def _clipped(topic: Topic, count: int) -> F64:
+    """(N,) what the driver says of the end of the range: a bit an axis, within the interval."""
+    found = np.zeros(count)
+    for name, code in (("accelerometer_clipping", 1.0), ("gyro_clipping", 2.0)):
+        if name in topic:
+            found += np.where(topic[name] != 0, code, 0.0)
+    return found
 
 
 def _baros(topics: Logged, offset_ns: int) -> list[BaroSamples]:
@@ -224,9 +235,24 @@ def _fixes(topics: Logged, offset_ns: int) -> list[tuple[GnssSamples, F64]]:
             _positive(sd_vel, count),
             sats.astype(np.int64),
             np.where(kind > 6, 3, kind).astype(np.int64),
+            _interference(topic, count),
         )
         out.append((samples, undulation))
     return out
+
+
+def _interference(topic: Topic, count: int) -> F64:
+    """(N,) jamming and spoofing as the receiver says them, 0 to 1: states and indicator as u-blox
+    has them, whose driver PX4's fields are made for."""
+    share = np.full(count, np.nan)
+    for name in ("jamming_state", "spoofing_state"):
+        if name in topic:
+            state = np.minimum(topic[name].astype(np.int64), len(STATE_SHARE) - 1)
+            share = np.fmax(share, np.array(STATE_SHARE)[state])
+    if "jamming_indicator" in topic:
+        indicator = topic["jamming_indicator"].astype(np.float64) / INDICATOR_FULL
+        share = np.fmax(share, np.clip(indicator, 0.0, 1.0))
+    return share
 
 
 def _positive(sd: F64 | None, count: int) -> F64:

@@ -58,7 +58,7 @@ class FlacRule(Section):
 def _rules() -> tuple[Rule, ...]:
     table: dict[Spread, tuple[tuple[Action, Action], ...]] = {
         # mean          zero                   small                  large
-        "low": (("nominal", "nominal"), ("nominal", "nominal"), ("match", "match")),
+        "low": (("match", "nominal"), ("match", "nominal"), ("match", "match")),
         "usual": (("nominal", "nominal"), ("nominal", "nominal"), ("match", "match")),
         "high": (("match", "nominal"), ("match", "match"), ("match", "match")),
     }
@@ -93,7 +93,9 @@ class Fuzzy(Section):
     r_max: float = 100.0
     """Bounds of the factor on R; 100 is a deviation ten times what was said."""
     r_min: float = 1.0
-    """Below 1, R may also become smaller than was said."""
+    """Below 1, R may also become smaller than is configured. Where the receiver's own word is R
+    (``gnss.sd_reported``), it may in any case fall to what is configured, if its innovations
+    disprove it."""
     q_max: float = 100.0
     """Bound of the factor on Q, from 1."""
     rise: float = 4.0

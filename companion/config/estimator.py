@@ -139,6 +139,7 @@ class Gnss(Section):
     """The same for its vertical velocity."""
     sd_reported: Literal["use", "floor", "ignore"] = "floor"
     """``use``: as reported; ``floor``: the larger of reported and configured; ``ignore``."""
+
     max_sd_position_m: float = 50.0
     """A fix that reports worse is refused."""
     min_fix_type: int = 3
@@ -152,6 +153,16 @@ class Gnss(Section):
     """The same for its height."""
     slow_error_tau_s: float = 120.0
     """How long the slow error stays much the same."""
+
+    @property
+    def configured_sd(self) -> tuple[float, float, float, float]:
+        """Of position [m] and velocity [m/s], horizontal and vertical, without any report, 1σ."""
+        return (
+            self.sd_position_m,
+            self.sd_height_m,
+            self.sd_velocity_mps,
+            self.sd_velocity_down_mps,
+        )
 
 
 class Baro(Section):

@@ -51,8 +51,9 @@ from companion.types import F64, I64, NS
     SYSTEM_BIAS_PSD,
     CLOCK_RAMP_VAR,  # of its drift's change in a temperature that changes [(m/s²)²]
     CLOCK_RAMP_TAU,  # [s]
+    GNSS_VAR,  # (4) configured, of position and velocity, horizontal and vertical
     ADAPTATION_AT,  # from here on: adaptation/parameters.py
-) = range(37)
+) = (*range(37), 40)
 SIZE = ADAPTATION_AT + ADAPTATION_SIZE
 
 # --- integer parameters
@@ -121,6 +122,7 @@ def parameter_vector(config: Config) -> F64:
     p[SYSTEM_BIAS_PSD] = config.raw_gnss.system_bias_walk_m_rts**2
     p[CLOCK_RAMP_VAR] = config.raw_gnss.clock_ramp_mps2**2
     p[CLOCK_RAMP_TAU] = config.raw_gnss.clock_ramp_tau_s
+    p[GNSS_VAR : GNSS_VAR + 4] = np.square(config.gnss.configured_sd)
     p[ADAPTATION_AT:] = adaptation_vector(config.adaptation)
     return p
 

@@ -17,6 +17,7 @@ from companion.estimation.parameters import (
     GYRO_VIBRATION_GAIN,
     VIBRATION_GAIN,
 )
+from companion.estimation.saturation import ACCEL
 from companion.navigation.layout import (
     GYRO_VIBRATION,
     Q_SCALE,
@@ -54,7 +55,9 @@ def attitude_noise(s: F64, par: F64, q: F64) -> None:
     """
     T = s[SUM_T]
     even = par[GYRO_PSD] * T * s[Q_SCALE] + s[SUM_XA]
-    gain = max(par[GYRO_VIBRATION_GAIN], SATURATED_GAIN * s[SATURATED])
+    gain = par[GYRO_VIBRATION_GAIN]
+    if s[SATURATED] >= ACCEL:
+        gain = max(gain, SATURATED_GAIN)
     if gain <= 0.0:
         q[1] = q[2] = q[4] = 0.0
         q[0] = q[3] = q[5] = np.float32(even)

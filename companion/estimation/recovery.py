@@ -75,9 +75,13 @@ def decide(setup: Setup, phase: Phase, t: int, aids: SampleBuffer) -> Decision:
                 events.append(taken_back(t, part, way))
                 return _without_pull(setup, f, t, part, way), events
     for part in range(2):
-        wish = int(_ints(f.k, part)[sf.RELOCK])
+        q = _ints(f.k, part)
+        since = int(q[sf.T_FAULT] if q[sf.STATE] != sf.TRUSTED else q[sf.T_REFUSED])
+        if since == 0:
+            continue  # a fix was fused after one had asked for it
+        wish = int(q[sf.RELOCK])
         if wish == sf.ONE_PLACE or (wish == sf.ASK_VELOCITY and agreeing_fixes(aids, t)):
-            events.append(relocked(t, part, _ints(f.k, part)))
+            events.append(relocked(t, part, q))
             return _at_source(setup, f, t, part, aids), events
         if wish == sf.ASK_VELOCITY and part == 0 and _without_velocity(aids, t):
             q = _ints(f.k, part)

@@ -14,16 +14,21 @@ from companion.types import F64
 
 SATURATION = 7
 """Column of an inertial row: :data:`ACCEL` + :data:`GYRO`, 0 for a sample within both ranges."""
-ACCEL, GYRO = 1.0, 2.0
+COUNTED, ACCEL, GYRO = 0.5, 1.0, 2.0
+"""``COUNTED``: an accelerometer's counter rose lately, and nobody knows which sample it was."""
 BEYOND = 0.1
 """Share of the range that a value may be beyond it, 1σ."""
 
 
 @njit("void(f8[::1], f8[::1], f8, f8)", cache=True)
 def saturated(s: F64, par: F64, which: float, dt: float) -> None:
-    """Take in that a sample of ``dt`` seconds was at the end of ``which`` range."""
-    s[SATURATING] += 1.0
-    if which != GYRO:
+    """Take in that a sample of ``dt`` seconds was at the end of ``which`` range.
+
+    Of what was only counted nobody knows how many it were: it speaks for the unit (evidence.py),
+    and adds no noise.
+    """
+    s[SATURATING] = max(s[SATURATING], which)
+    if which == ACCEL or which > GYRO:
         beyond = BEYOND * par[ACCEL_RANGE] * dt
         s[SUM_XV] += beyond * beyond
     if which >= GYRO:

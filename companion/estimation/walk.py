@@ -13,7 +13,7 @@ import numpy as np
 
 from companion._jit import njit
 from companion.estimation.adaptation.adapt import after_fix
-from companion.estimation.adaptation.evidence import reception
+from companion.estimation.adaptation.evidence import least_factor, reception
 from companion.estimation.covariance import STRIDE, propagate
 from companion.estimation.parameters import (
     BANK,
@@ -70,6 +70,7 @@ from companion.navigation.layout import (
     LAST_ACCEL,
     LAST_GYRO,
     LAT,
+    R_LEAST,
     REFUSED_SINCE,
     RESETS,
     STANDING,
@@ -113,7 +114,8 @@ A_VALUE, A_VELOCITY, A_VAR, A_VAR_VELOCITY = 0, 3, 6, 9
 A_AZIMUTH = 3
 A_SATELLITES = 12  # NaN: unknown
 A_LET_GO = 13  # 1: the receiver's clock jumped in front of this epoch, nobody knows how far
-AID_SIZE = 14
+A_INTERFERENCE = 14  # 0 to 1; NaN: unknown
+AID_SIZE = 15
 
 # --- columns of an output row
 O_LAT, O_VEL, O_Q, O_ACCEL_BIAS, O_GYRO_BIAS, O_COV, O_MODE, O_RESETS = 0, 3, 6, 10, 13, 16, 46, 47
@@ -164,7 +166,7 @@ def fuse_gnss(
     y, R = W[SPARE], W[SPARE + 1]
     n = lay[L_N]
     taken = False
-    reception(s, z[A_SATELLITES], z[A_VAR])
+    reception(s, z[A_SATELLITES], z[A_VAR], z[A_INTERFERENCE])
     if z[A_VELOCITY] == z[A_VELOCITY] and z[A_VELOCITY + 1] == z[A_VELOCITY + 1]:
         down = z[A_VELOCITY + 2] if z[A_VELOCITY + 2] == z[A_VELOCITY + 2] else 0.0
         s[GNSS_SPEED] = math.sqrt(z[A_VELOCITY] ** 2 + z[A_VELOCITY + 1] ** 2 + down * down)
@@ -199,6 +201,7 @@ def fuse_gnss(
                 for c in range(3):
                     drift += C[axis, c] * (s[LAST_ACCEL + c] - s[ACCEL_BIAS_B + c])
             R[i] += par[LATENCY_VAR] * drift * drift
+        s[R_LEAST] = least_factor(par, lay, half, z[v + 2 * vertical : v + 3], R, m)
         if half >= 2:
             velocity(s, lay, C, z[A_VELOCITY : A_VELOCITY + 3], H, y)
         else:

@@ -103,15 +103,7 @@ class AidIntake:
         self._ring_ns = round(config.engine.delay_ring_s * NS)
         self._sources: dict[str, dict[str, int]] = {}
         self._refusals: list[AidingReports] = []
-        gnss = config.gnss
-        self._gnss_sd = np.array(
-            [
-                *[gnss.sd_position_m] * 2,
-                gnss.sd_height_m,
-                *[gnss.sd_velocity_mps] * 2,
-                gnss.sd_velocity_down_mps,
-            ]
-        )
+        self._gnss_sd = np.array(config.gnss.configured_sd)[[0, 0, 1, 2, 2, 3]]
 
     def further(self, samples: ImuSamples) -> bool:
         """Whether this unit is a measurement beside the first one, whose samples set the pace."""
@@ -217,6 +209,7 @@ class AidIntake:
             sd = np.fmax(sd, self._gnss_sd)  # where a report is missing, the configured one
         rows[:, 6:12] = sd * sd
         rows[:, w.A_SATELLITES] = np.where(g.num_sats > 0, g.num_sats, np.nan)
+        rows[:, w.A_INTERFERENCE] = np.clip(g.interference, 0.0, 1.0)
         no_fix = (g.fix_type < cfg.min_fix_type) | (g.sd_pos[:, 0] > cfg.max_sd_position_m)
         no_fix |= g.sd_pos[:, 1] > cfg.max_sd_position_m
         # Written so that NaN counts as broken.

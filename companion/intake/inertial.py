@@ -94,22 +94,22 @@ class InertialIntake:
         gyro, accel = block.gyro_b[0].tolist(), block.accel_b[0].tolist()
         interval = float(block.interval_s[0])
         row = [*self._mounting.turn_one(gyro), *self._mounting.turn_one(accel)]
-        if not math.isfinite(sum(row)) or self._saturation.reached(gyro, accel):
+        clipped = block.clipped[0] != 0.0
+        if clipped or not math.isfinite(sum(row)) or self._saturation.reached(gyro, accel):
             return None
         row += (interval if interval > 0.0 else 0.0, 0.0, 0.0, 0.0)
         return np.array([row])
 
     def watch(self, t: I64, rows: F64) -> None:
         """Count what is saturated, each sample once: ``rows`` may be asked for twice."""
-        if self._saturation.watching:
-            flags = rows[:, SATURATION]
-            found = flags[0] > 0.0 if len(flags) == 1 else flags.any()
-            if found or self._saturation.begun:
-                self._counters.imu_saturated += self._saturation.note(t, flags)
+        flags = rows[:, SATURATION]
+        found = flags[0] > 0.0 if len(flags) == 1 else flags.any()
+        if found or self._saturation.begun:
+            self._counters.imu_saturated += self._saturation.note(t, flags)
 
     def events(self, final: bool = False) -> tuple[Event, ...]:
         """What there is to say of saturation since the last call."""
-        return self._saturation.take_events(final) if self._saturation.watching else ()
+        return self._saturation.take_events(final)
 
     def finite(self, t: I64, rows: F64) -> tuple[I64, F64]:
         """Without the samples that are no numbers, which are counted."""

@@ -7,6 +7,7 @@ keeps its payload.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,12 +36,16 @@ AnyColumns = AnySamples | ReferenceSamples | Solution
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One field of a batch: attribute of the sample type, wire number, shape of a row."""
+    """One field of a batch: attribute of the sample type, wire number, shape of a row.
+
+    With a ``default`` it is left out where every row has that value, as in logs from before it.
+    """
 
     name: str
     number: int
     dtype: str
     shape: tuple[int, ...] = ()
+    default: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,7 @@ class Batch:
 
 
 _I, _F = "<i8", "<f8"
+_ROWS = 2  # number of the column that every batch has: its times
 _COMMON = (Column("t_ns", 2, _I), Column("t_rx_ns", 3, _I), Column("seq", 4, _I))
 
 IMU = Batch(
@@ -63,6 +69,7 @@ IMU = Batch(
         Column("gyro_b", 5, _F, (3,)),
         Column("accel_b", 6, _F, (3,)),
         Column("interval_s", 7, _F),
+        Column("clipped", 8, _F, default=0.0),
     ),
 )
 GNSS = Batch(
@@ -78,6 +85,7 @@ GNSS = Batch(
         Column("sd_vel", 10, _F, (3,)),
         Column("num_sats", 11, _I),
         Column("fix_type", 12, _I),
+        Column("interference", 13, _F, default=math.nan),
     ),
 )
 BARO = Batch("companion.BaroBatch", BaroSamples, (*_COMMON, Column("pressure", 5, _F)))
@@ -156,9 +164,17 @@ def encode(
     name = source.encode()
     pieces: list[bytes] = [b"\x0a", varint(len(name)), name]
     for c in batch.columns:
-        data = columns[c.name][start:stop].tobytes()
+        rows = columns[c.name][start:stop]
+        if c.default is not None and _all(rows, c.default):
+            continue
+        data = rows.tobytes()
         pieces += (varint(c.number << 3 | 2), varint(len(data)), data)
     return b"".join(pieces)
+
+
+def _all(rows: NDArray[Any], value: float) -> bool:
+    """Whether every one of ``rows`` is ``value``, bit for bit."""
+    return bool(rows.tobytes() == np.full(len(rows), value, rows.dtype).tobytes())
 
 
 def source_of(payload: bytes) -> str:
@@ -183,6 +199,8 @@ def decode(batch: Batch, payloads: Sequence[bytes]) -> dict[str, NDArray[Any]]:
             if number in found:
                 found[number] += value
         for c in batch.columns:
+            if c.default is not None and not found[c.number]:
+                found[c.number] = np.full(len(found[_ROWS]) // 8, c.default, c.dtype).tobytes()
             count, rest = divmod(len(found[c.number]), 8 * int(np.prod(c.shape, dtype=int)))
             rows.add(count if rest == 0 else -1)
             by_number[c.number].append(found[c.number])

@@ -189,7 +189,7 @@ def observe(
             s[VIBRATION] = (s[slot + 9] + s[slot + 10] + s[slot + 11]) / 3.0
             for i in range(3):
                 s[GYRO_VIBRATION + i] = s[slot + 6 + i]
-            s[SATURATED] = 1.0 if s[SATURATING] > 0.0 else 0.0
+            s[SATURATED] = s[SATURATING]
             s[SATURATING] = 0.0
             k[STILL_COUNT] += 1
             k[STANDING] = 2 + _decide(s, k, n, t, gyro, accel, speed)

@@ -65,8 +65,8 @@ VELOCITY_FIT = VIBRATION + 4  # NIS per component of horizontal velocity, runnin
 BANK_NIS = VIBRATION + 5  # sum of capped NIS over what the bank competes on
 BANK_DOF = VIBRATION + 6  # and of its components
 # --- what is known of the position source, horizontal and vertical (see source_faults.py)
-SATURATING = VIBRATION + 7  # samples at the end of a range in the running quarter
-SATURATED = VIBRATION + 8  # 1 where there were some in the last full one
+SATURATING = VIBRATION + 7  # highest code of a sample at the end of a range, in this quarter
+SATURATED = VIBRATION + 8  # and in the last full one; see estimation/saturation.py
 SOURCE = VIBRATION + 9
 SOURCE_SIZE = 20
 # --- adaptation: what is in force, and what it is drawn from (see estimation/adaptation)
@@ -75,7 +75,8 @@ CHANNELS = 16
 Q_SCALE = R_SCALE + CHANNELS  # factor on the noise of the inertial unit
 ALPHA = Q_SCALE + 1  # exponential weight of the running epoch of aiding
 RECEPTION = ALPHA + 1  # share of it lost, usual number of satellites, usual variance
-WINDOWS = RECEPTION + 3  # per adapted channel: innovations in a window, and what methods keep
+R_LEAST = RECEPTION + 3  # factor on R of the fix at hand that leaves what is configured
+WINDOWS = R_LEAST + 1  # per adapted channel: innovations in a window, and what methods keep
 ADAPTED = 6  # channels whose sensors are judged: the first ones; constraints are not sensors
 WINDOW_SIZE = 8 + 3 * 32
 # --- covariance, last because its size varies

@@ -6,7 +6,7 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Optional as _Op
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class ImuBatch(_message.Message):
-    __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "gyro_b", "accel_b", "interval_s")
+    __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "gyro_b", "accel_b", "interval_s", "clipped")
     SOURCE_FIELD_NUMBER: _ClassVar[int]
     T_NS_FIELD_NUMBER: _ClassVar[int]
     T_RX_NS_FIELD_NUMBER: _ClassVar[int]
@@ -14,6 +14,7 @@ class ImuBatch(_message.Message):
     GYRO_B_FIELD_NUMBER: _ClassVar[int]
     ACCEL_B_FIELD_NUMBER: _ClassVar[int]
     INTERVAL_S_FIELD_NUMBER: _ClassVar[int]
+    CLIPPED_FIELD_NUMBER: _ClassVar[int]
     source: str
     t_ns: _containers.RepeatedScalarFieldContainer[int]
     t_rx_ns: _containers.RepeatedScalarFieldContainer[int]
@@ -21,10 +22,11 @@ class ImuBatch(_message.Message):
     gyro_b: _containers.RepeatedScalarFieldContainer[float]
     accel_b: _containers.RepeatedScalarFieldContainer[float]
     interval_s: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., gyro_b: _Optional[_Iterable[float]] = ..., accel_b: _Optional[_Iterable[float]] = ..., interval_s: _Optional[_Iterable[float]] = ...) -> None: ...
+    clipped: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., gyro_b: _Optional[_Iterable[float]] = ..., accel_b: _Optional[_Iterable[float]] = ..., interval_s: _Optional[_Iterable[float]] = ..., clipped: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class GnssBatch(_message.Message):
-    __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "lat", "lon", "height", "vel_n", "sd_pos", "sd_vel", "num_sats", "fix_type")
+    __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "lat", "lon", "height", "vel_n", "sd_pos", "sd_vel", "num_sats", "fix_type", "interference")
     SOURCE_FIELD_NUMBER: _ClassVar[int]
     T_NS_FIELD_NUMBER: _ClassVar[int]
     T_RX_NS_FIELD_NUMBER: _ClassVar[int]
@@ -37,6 +39,7 @@ class GnssBatch(_message.Message):
     SD_VEL_FIELD_NUMBER: _ClassVar[int]
     NUM_SATS_FIELD_NUMBER: _ClassVar[int]
     FIX_TYPE_FIELD_NUMBER: _ClassVar[int]
+    INTERFERENCE_FIELD_NUMBER: _ClassVar[int]
     source: str
     t_ns: _containers.RepeatedScalarFieldContainer[int]
     t_rx_ns: _containers.RepeatedScalarFieldContainer[int]
@@ -49,7 +52,8 @@ class GnssBatch(_message.Message):
     sd_vel: _containers.RepeatedScalarFieldContainer[float]
     num_sats: _containers.RepeatedScalarFieldContainer[int]
     fix_type: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., lat: _Optional[_Iterable[float]] = ..., lon: _Optional[_Iterable[float]] = ..., height: _Optional[_Iterable[float]] = ..., vel_n: _Optional[_Iterable[float]] = ..., sd_pos: _Optional[_Iterable[float]] = ..., sd_vel: _Optional[_Iterable[float]] = ..., num_sats: _Optional[_Iterable[int]] = ..., fix_type: _Optional[_Iterable[int]] = ...) -> None: ...
+    interference: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, source: _Optional[str] = ..., t_ns: _Optional[_Iterable[int]] = ..., t_rx_ns: _Optional[_Iterable[int]] = ..., seq: _Optional[_Iterable[int]] = ..., lat: _Optional[_Iterable[float]] = ..., lon: _Optional[_Iterable[float]] = ..., height: _Optional[_Iterable[float]] = ..., vel_n: _Optional[_Iterable[float]] = ..., sd_pos: _Optional[_Iterable[float]] = ..., sd_vel: _Optional[_Iterable[float]] = ..., num_sats: _Optional[_Iterable[int]] = ..., fix_type: _Optional[_Iterable[int]] = ..., interference: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class BaroBatch(_message.Message):
     __slots__ = ("source", "t_ns", "t_rx_ns", "seq", "pressure")

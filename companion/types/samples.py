@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Self
 
@@ -44,6 +44,20 @@ class Samples:
         return type(self)(self.source, *[getattr(self, n)[index] for n in _columns(kind)])
 
 
+_NOT_SAID = np.zeros(0)
+
+
+def _not_said() -> F64:
+    """What an optional column holds until :func:`_fill` has seen how many samples there are."""
+    return _NOT_SAID
+
+
+def _fill(samples: Samples, name: str, value: float) -> None:
+    """Give an optional column that nobody named its rows, all ``value``."""
+    if getattr(samples, name) is _NOT_SAID:
+        object.__setattr__(samples, name, np.full(len(samples), value))
+
+
 @dataclass(frozen=True, slots=True)
 class ImuSamples(Samples):
     """Inertial samples: angular rate and specific force, or their means over an interval."""
@@ -55,6 +69,13 @@ class ImuSamples(Samples):
     interval_s: F64
     """(N,) for an IMU that gives integrals: the integration interval that ends at ``t_ns`` [s],
     ``gyro_b`` and ``accel_b`` then being integral / interval. NaN: an instantaneous sample."""
+    clipped: F64 = field(default_factory=_not_said)
+    """(N,) what the sensor's driver says of the end of its range: 1 the accelerometers reached it,
+    2 the gyros, 3 both; 0.5 a counter of clipped accelerations rose just before it; 0 none of it,
+    or it says nothing."""
+
+    def __post_init__(self) -> None:
+        _fill(self, "clipped", 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +100,12 @@ class GnssSamples(Samples):
     fix_type: I64
     """(N,) as MAVLink: 0-1 none, 2 two-dimensional, 3 three-dimensional, 4 differential,
     5 RTK float, 6 RTK fixed."""
+    interference: F64 = field(default_factory=_not_said)
+    """(N,) how far the receiver says that it is jammed or spoofed, 0 not to 1 wholly; NaN where it
+    says nothing."""
+
+    def __post_init__(self) -> None:
+        _fill(self, "interference", np.nan)
 
 
 @dataclass(frozen=True, slots=True)

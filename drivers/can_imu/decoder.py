@@ -115,6 +115,7 @@ class CanImuDecoder(ABC):
             np.ascontiguousarray(values[:, 0:3]),
             np.ascontiguousarray(values[:, 3:6]),
             np.ascontiguousarray(values[:, 6]),
+            np.ascontiguousarray(values[:, 7]),
         )
 
     def _add(
@@ -135,29 +136,33 @@ class CanImuDecoder(ABC):
             self.counters.malformed += 1
             return
         self.counters.samples += 1
-        if self._limited:
-            self._note_saturation(sample if peak is None else peak)
+        clipped = self._note_saturation(sample if peak is None else peak) if self._limited else 0.0
         if self._turned:
             x, y, z = self._unit.axes
             gx, gy, gz = (r[0] * gx + r[1] * gy + r[2] * gz for r in (x, y, z))
             ax, ay, az = (r[0] * ax + r[1] * ay + r[2] * az for r in (x, y, z))
         self._times.append((t_ns, t_rx_ns, seq))
-        self._values.append((gx, gy, gz, ax, ay, az, interval_s))
+        self._values.append((gx, gy, gz, ax, ay, az, interval_s, clipped))
 
-    def _note_saturation(self, sample: tuple[float, ...]) -> None:
+    def _note_saturation(self, sample: tuple[float, ...]) -> float:
+        """Which axes are at their end, and the same as :attr:`ImuSamples.clipped`."""
         a, b, c, d, e, f = sample
         i, j, k, m, n, o = self._limits
         if -i < a < i and -j < b < j and -k < c < k and -m < d < m and -n < e < n and -o < f < o:
             # Nearly always: this is on the hot path.
             self.saturated = ()
-            return
+            return 0.0
         self.saturated = tuple(
             name
             for name, value, limit in zip(AXIS_NAMES, sample, self._limits, strict=True)
             if abs(value) >= limit
         )
-        if self.saturated:
-            self.counters.saturated += 1
+        if not self.saturated:
+            return 0.0
+        self.counters.saturated += 1
+        accel = max(abs(d) - m, abs(e) - n, abs(f) - o) >= 0.0
+        gyro = max(abs(a) - i, abs(b) - j, abs(c) - k) >= 0.0
+        return (1.0 if accel else 0.0) + (2.0 if gyro else 0.0)
 
 
 def rounding_density(step: float, rate_hz: float) -> float:

@@ -26,6 +26,7 @@ from companion.types import (
 )
 from drivers.mavlink import samples as messages
 from drivers.mavlink.boot_clock import BootClock
+from drivers.mavlink.clipping import COUNTED, ClipCounters
 from drivers.mavlink.counters import SessionCounters
 from drivers.mavlink.readings import Readings
 from drivers.mavlink.samples import Stamps, Table, triple
@@ -50,6 +51,7 @@ _WANTED = frozenset(
         *messages.BARO_OTHERS,
         *messages.MAG,
         *messages.MAG_OTHERS,
+        messages.VIBRATION,
     }
 )
 
@@ -67,6 +69,7 @@ class Converter:
         self._newest: dict[tuple[type, str], int] = {}
         self._fix: dict[str, Table] = {}
         self._readings: dict[tuple[type, str], Readings] = {}
+        self._clipping = ClipCounters()
         self._gnss: list[AnySamples] = []
         self._baro: list[AnySamples] = []
         self._mag: list[AnySamples] = []
@@ -78,6 +81,7 @@ class Converter:
     def restart(self) -> None:
         """The autopilot began anew: its fixes and attitudes have nothing to do with the old."""
         self._fix.clear()
+        self._clipping = ClipCounters()
         self._attitude = None
         self._positions.clear()
 
@@ -102,6 +106,8 @@ class Converter:
             self._counters.not_timed += table.shape[0]
         elif name in messages.GNSS:
             self._fixes(name, table, boot_us, seq, rx_ns)
+        elif name == messages.VIBRATION:
+            self._clipping.take(messages.clip_counts(table), rx_ns)
         elif name == "GLOBAL_POSITION_INT":
             self._position(table, boot_us, seq, rx_ns)
         elif name == "ATTITUDE":
@@ -112,7 +118,10 @@ class Converter:
     def _sensors(self, name: str, table: Table, at: Stamps, rx_ns: int) -> None:
         """IMU, field and pressure of a message, as far as no better message carries them."""
         if name in messages.IMU:
-            self._keep(self._imu, messages.imu(name, table, at))
+            inertial = messages.imu(name, table, at)
+            if inertial is not None and self._clipping.rising(name, rx_ns):
+                inertial = replace(inertial, clipped=np.full(len(inertial), COUNTED))
+            self._keep(self._imu, inertial)
         if name in messages.MAG_OTHERS or self._best(name, messages.MAG, rx_ns):
             field = messages.mag(name, table, at)
             if field is not None:

@@ -28,6 +28,10 @@ BARO_OTHERS = ("SCALED_PRESSURE2",)
 MAG = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
 """Messages that carry the first compass's field, the preferred one first."""
 MAG_OTHERS = ("SCALED_IMU2", "SCALED_IMU3")
+VIBRATION = "VIBRATION"
+"""Message with the counters of clipped accelerations, one an accelerometer."""
+ACCELEROMETER = {"SCALED_IMU2": 1, "SCALED_IMU3": 2}
+"""Whose counter speaks for an inertial message; of the others the first one's."""
 
 BOOT_STAMPED = (
     "SYSTEM_TIME",
@@ -129,6 +133,11 @@ def imu(name: str, table: Table, at: Stamps) -> ImuSamples | None:
         at, accel, gyro = at.take(fresh), accel[fresh], gyro[fresh]
     interval = np.full(accel.shape[0], np.nan)
     return ImuSamples(name, at.t_ns, at.rx_ns, at.seq, gyro, accel, interval)
+
+
+def clip_counts(table: Table) -> I64:
+    """(N, 3) counters of clipped accelerations of :data:`VIBRATION`."""
+    return np.stack([table[f"clipping_{i}"].astype(np.int64) for i in range(3)], axis=1)
 
 
 def mag(name: str, table: Table, at: Stamps) -> MagSamples | None:

@@ -16,6 +16,7 @@ from companion.gnss.messages.lnav import Lnav
 from companion.types import F64, BroadcastSamples, GnssSamples, RawGnssSamples
 from drivers.one_sample import Stamps, broadcast_sample, raw_sample, stamps
 from drivers.ublox.framer import Frame, Framer
+from drivers.ublox.interference import KINDS, Interference
 from drivers.ublox.messages import NAV_PVT, RXM_RAWX, RXM_SFRBX, Pvt, pvt, raw_epoch, subframe
 
 _DECODERS: dict[tuple[int, int], Callable[[int], Lnav | Inav | D1]] = {
@@ -51,6 +52,7 @@ class UbxDecoder:
     framer: Framer = field(default_factory=Framer)
     counters: Counters = field(default_factory=Counters)
     leap_s: int | None = None
+    _interference: Interference = field(default_factory=Interference)
     _time: tuple[int, float] | None = None
     _messages: dict[int, Lnav | Inav | D1] = field(default_factory=dict)
     _seq: int = 0
@@ -71,6 +73,9 @@ class UbxDecoder:
             return self._subframe(frame.payload)
         if frame.kind == NAV_PVT:
             return self._fix(frame.payload)
+        if frame.kind in KINDS:
+            self.counters.malformed += not self._interference.take(frame.kind, frame.payload)
+            return None
         self.counters.other += 1
         return None
 
@@ -121,15 +126,15 @@ class UbxDecoder:
             # The fix of the epoch before a turn of the week comes after it, or the reverse.
             week = self._time[0] + round((self._time[1] - fix.tow) / 604_800.0)
         self.counters.fixes += 1
-        return _gnss(self.source, fix, self._stamps(week, fix.tow))
+        return _gnss(self.source, fix, self._stamps(week, fix.tow), self._interference.share)
 
 
-def _gnss(source: str, fix: Pvt, at: Stamps) -> GnssSamples:
+def _gnss(source: str, fix: Pvt, at: Stamps, interference: float) -> GnssSamples:
     one = np.array
     return GnssSamples(
         source, *at, one([fix.lat]), one([fix.lon]), one([fix.height]), one([fix.vel_n]),
         # A horizontal accuracy is that of both components together.
         one([[fix.sd_h / np.sqrt(2), fix.sd_h / np.sqrt(2), fix.sd_v]]),
         one([[fix.sd_vel / np.sqrt(3)] * 3]), one([fix.num_sats], np.int64),
-        one([fix.fix_type], np.int64),
+        one([fix.fix_type], np.int64), one([interference]),
     )  # fmt: skip

@@ -56,7 +56,8 @@ def _all(fixes: list[GnssSamples]) -> GnssSamples | None:
     """One block of many of one."""
     if not fixes:
         return None
-    names = ("lat", "lon", "height", "vel_n", "sd_pos", "sd_vel", "num_sats", "fix_type")
+    names = ("lat", "lon", "height", "vel_n", "sd_pos", "sd_vel", "num_sats", "fix_type",
+             "interference")  # fmt: skip
     t = np.concatenate([f.t_ns for f in fixes])
     return GnssSamples(
         fixes[0].source, t, np.maximum.accumulate(t), np.arange(len(t), dtype=np.int64),

@@ -226,3 +226,21 @@ def test_the_autopilots_origin_is_kept_until_it_restarts() -> None:
     flight.autopilot.reboot(flight.now_ns)
     flight.run(6.0)
     assert session.origin is None
+
+
+def test_a_counter_of_clipped_accelerations_marks_what_follows_it() -> None:
+    flight = air()
+    flight.run(4.0)
+    flight.session.take()
+    seq, found = 9_999_999, []
+    for count in (3, 3, 4, 4):
+        flight.now_ns += NS // 10
+        boot = flight.autopilot.boot_ns(flight.now_ns)
+        vibration = mavlink.MAVLink_vibration_message(boot // 1000, 1.0, 1.0, 1.0, count, 0, 0)
+        inertial = flight.autopilot.message("HIGHRES_IMU", boot)
+        frames = [flight.autopilot.packer.pack(m) for m in (vibration, inertial)]
+        flight.session.feed(seq, flight.now_ns, b"".join(frames))
+        seq += 1
+        (imu,) = [s for s in flight.session.take() if isinstance(s, ImuSamples)]
+        found += imu.clipped.tolist()
+    assert found == [0.0, 0.0, 0.5, 0.0]

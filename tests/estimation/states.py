@@ -35,7 +35,7 @@ def random_state(rng: np.random.Generator, layout: lo.Layout) -> F64:
     s[lo.LAST_GYRO : lo.LAST_GYRO + 3] = rng.normal(0, 0.5, 3)
     s[lo.LAST_ACCEL : lo.LAST_ACCEL + 3] = rng.normal([0, 0, -9.8], 2)
     s[lo.EARTH_RATE] = earth.RATE
-    s[lo.R_SCALE : lo.RECEPTION] = 1.0
+    s[lo.R_SCALE : lo.RECEPTION] = s[lo.R_LEAST] = 1.0
     n = layout.n
     size = np.full(n, 0.3)
     size[:15] = np.repeat([2.0, 0.3, 0.02, 0.05, 0.002], 3)

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config import Config, parse, to_toml
+from companion.config import Config, Gnss, parse, to_toml
 from companion.config.adaptation import METHODS, Adaptation, Fuzzy
 from companion.estimation import parameters as par
 from companion.estimation.adaptation import layout as al
 from companion.estimation.adaptation import window as win
 from companion.estimation.adaptation.adapt import adapt
-from companion.estimation.adaptation.evidence import reception
+from companion.estimation.adaptation.evidence import least_factor, reception
 from companion.estimation.adaptation.parameters import adaptation_vector
 from companion.navigation import layout as lo
 from companion.types import F64
@@ -32,7 +32,7 @@ class Channel:
         config = Config(adaptation=section)
         self.par, self.ipar = par.parameter_vector(config), par.integer_vector(config)
         self.s = np.zeros(lo.P)
-        self.s[lo.R_SCALE : lo.RECEPTION] = 1.0
+        self.s[lo.R_SCALE : lo.RECEPTION] = self.s[lo.R_LEAST] = 1.0
         self.channel = channel
         self.trace = np.zeros(al.TRACE_SIZE)
 
@@ -180,7 +180,7 @@ def test_inputs_of_a_healthy_sensor_are_standard_normal(m: int, length: int) -> 
     """
     rng = np.random.default_rng(length + m)
     windows, beyond = 4000, np.zeros(3)
-    w, out = np.zeros(lo.WINDOW_SIZE), np.zeros(5)
+    w, out = np.zeros(lo.WINDOW_SIZE), np.zeros(7)
     w[al.COUNT] = length
     for _ in range(windows):
         w[al.RING : al.RING + 3 * length] = rng.normal(size=3 * length)
@@ -209,6 +209,94 @@ def test_reception_is_held_against_what_is_usual() -> None:
         (np.nan, 16.0, 0.75),
         (20.0, 1.0, 0.0),
     ):
-        reception(s, satellites, variance)
+        reception(s, satellites, variance, np.nan)
         # what is usual has moved by a three-hundredth
         assert s[lo.RECEPTION] == pytest.approx(lost, abs=0.01)
+
+
+@pytest.mark.parametrize("size", [4.0, 8.0, 40.0])
+def test_a_step_inside_a_window_is_no_noise(size: float) -> None:
+    """It scatters about the mean, not between neighbours: R stays, and the gate with it."""
+    rng = np.random.default_rng(8)
+    channel = Channel()
+    for at in range(80):
+        step = size if at >= 40 else 0.0
+        scale = channel.take(rng.normal(0.0, np.sqrt(1.5), 2) + step)
+        assert scale < 1.6  # two deviations of a variance from 20 innovations of 2: 1 + 2·0.26
+    assert channel.trace[al.TO_SOURCE] > 0.9
+
+
+def test_scatter_between_neighbours_is_noises_own() -> None:
+    """Its share beyond the 95 % quantile, and the median of the factor, as of the other spread."""
+    rng = np.random.default_rng(9)
+    w, out = np.zeros(lo.WINDOW_SIZE), np.zeros(7)
+    w[al.COUNT], found = 20.0, []
+    for _ in range(4000):
+        w[al.RING : al.RING + 60] = 3.0 * rng.normal(size=60)
+        assert win.statistics(w, 20, 2, out)
+        found.append(out[5:7].copy())
+    between, deviate = np.array(found).T
+    # the widest counts as the next: one of 19 is cut by a third
+    assert 7.5 < np.median(between) < 9.0
+    w[al.RING : al.RING + 60] /= 3.0
+    assert np.mean(deviate > 1.645) > 0.9  # nine times the variance is seen
+
+
+def test_a_unit_at_the_end_of_its_range_needs_no_other_witness() -> None:
+    channel = Channel()
+    channel.s[lo.SATURATING] = 0.5  # by a counter
+    _biased(channel, strained=False)
+    assert channel.trace[al.TO_MODEL] == 1.0
+    assert channel.s[lo.Q_SCALE] > 2.0
+
+
+def _claiming(channel: Channel, rng: np.random.Generator) -> float:
+    """A receiver that claims 25 times the variance it has, against a configuration that knows."""
+    channel.s[lo.R_LEAST] = 0.04
+    for _ in range(100):
+        scale = channel.take(rng.normal(0.0, np.sqrt(0.01 + 1.0), 2), foreseen=0.01 * 25, R=25.0)
+    return scale
+
+
+def test_a_claim_is_disproved_down_to_what_is_configured() -> None:
+    rng = np.random.default_rng(10)
+    believed = Channel()
+    assert 0.04 <= _claiming(believed, rng) < 0.08
+
+
+def test_a_claim_is_believed_where_the_receiver_says_that_it_receives_badly() -> None:
+    rng = np.random.default_rng(10)
+    channel = Channel()
+    channel.s[lo.RECEPTION] = 1.0
+    assert _claiming(channel, rng) == 1.0
+
+
+def test_a_claim_is_not_disproved_by_innovations_that_are_alike() -> None:
+    """An error that lasts does not scatter: small innovations one like the other say nothing."""
+    rng = np.random.default_rng(11)
+    channel, slow = Channel(), np.zeros(2)
+    channel.s[lo.R_LEAST] = 0.04
+    for _ in range(100):
+        slow = 0.98 * slow + rng.normal(0.0, 0.2, 2)
+        scale = channel.take(slow, foreseen=0.25, R=25.0)
+    assert scale > 0.5
+
+
+@pytest.mark.parametrize(("said", "lost"), [(np.nan, 0.0), (0.0, 0.0), (0.5, 0.5), (1.0, 1.0)])
+def test_interference_is_reception_lost(said: float, lost: float) -> None:
+    s = np.zeros(lo.P)
+    reception(s, 16.0, 4.0, said)
+    assert s[lo.RECEPTION] == lost
+
+
+def test_what_is_configured_is_the_least_only_where_slow_errors_are_states() -> None:
+    """Latency's part stays; without a state the slow error is in the claim."""
+    config = Config(gnss=Gnss(sd_position_m=1.0, sd_velocity_mps=0.1))
+    vector, taken = par.parameter_vector(config), np.array([25.0, 25.0, 25.0])
+    R = taken + 5.0
+    without, with_state = par.layout(config).vector(), par.layout(config).vector()
+    with_state[lo.L_GNSS] = 15
+    assert least_factor(vector, without, 0, taken, R, 2) == 1.0
+    assert least_factor(vector, with_state, 0, taken, R, 2) == pytest.approx(6.0 / 30.0)
+    assert least_factor(vector, without, 2, taken, R, 2) == pytest.approx(5.01 / 30.0)
+    assert least_factor(vector, with_state, 0, np.full(2, 0.5), np.full(2, 0.5), 2) == 1.0

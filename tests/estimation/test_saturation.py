@@ -59,7 +59,26 @@ def test_an_episode_is_told_when_it_begins_and_when_it_is_over() -> None:
 
 def test_below_the_range_and_without_one_nothing_is_said() -> None:
     assert told(samples(np.full(200, 78.0)), []) == ([], 0)
-    assert not SaturationWatch(Config()).watching
+    watch, block = SaturationWatch(Config()), samples(np.full(200, 78.5))
+    assert watch.note(block.t_ns, watch.flags(block)) == 0
+    assert watch.take_events(final=True) == ()
+
+
+def test_what_a_driver_says_needs_no_range() -> None:
+    """Its own flags count as samples at the end; its counter says that there were some."""
+    for clipped, count, words in (
+        (1.0, 5, "accelerometer 5 times within"),
+        (3.0, 5, "accelerometer 5 times and gyro 5 times within"),
+        (0.5, 5, "left: by the autopilot's counter of clipped accelerations within"),
+    ):
+        block = samples(np.zeros(200))
+        block.clipped[50:55] = clipped
+        for config in (Config(), RANGED):
+            watch = SaturationWatch(config)
+            assert watch.note(block.t_ns, watch.flags(block)) == count
+            begun, over = watch.take_events(final=True)
+            assert (begun.kind, begun.t_ns) == ("imu-saturated", NS // 2)
+            assert words in over.text
 
 
 def test_values_that_are_no_numbers_are_not_at_the_end_of_a_range() -> None:

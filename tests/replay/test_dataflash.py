@@ -54,3 +54,12 @@ def test_one_corrupt_stamp_costs_one_sample(tmp_path: Path) -> None:
     data[at + 3 + 5] ^= 0x40  # a high byte of TimeUS; there is no checksum to catch it
     vehicle = read(bytes(data), tmp_path)
     assert len(vehicle.imu[0]) == 199
+
+
+def test_jamming_is_the_receivers_last_word(data_dir: Path) -> None:
+    """UBX1 comes twice a second; its largest value in this log is 86 of 255."""
+    path = data_dir / "bin-erle" / "copter" / "6-11-2014_GPS_issues2.BIN"
+    (vehicle,) = read_log([path]).vehicles
+    said = vehicle.gnss[0].interference
+    assert np.nanmax(said) == pytest.approx(86.0 / 255.0)
+    assert np.isfinite(said).mean() > 0.9

@@ -39,3 +39,12 @@ def test_simulator_truth(data_dir: Path) -> None:
     (vehicle,) = read_log([data_dir / "ulg" / "sitl_stifael_14_19_29.ulg"]).vehicles
     assert vehicle.truth is not None
     assert np.isfinite(vehicle.truth.rpy).mean() > 0.9
+
+
+def test_clipping_and_interference_as_the_drivers_say(data_dir: Path) -> None:
+    """Counted in the log with pyulog: two samples with a bit of an axis, an indicator of 2 to 9."""
+    (vehicle,) = read_log([data_dir / "ulg" / "roboto_fmuv5_9s.ulg"]).vehicles
+    assert vehicle.imu[0].clipped.tolist().count(1.0) == 2
+    assert vehicle.imu[0].clipped.sum() == 2.0
+    said = vehicle.gnss[0].interference * 255.0
+    assert (said.min(), said.max()) == (pytest.approx(2.0), pytest.approx(9.0))

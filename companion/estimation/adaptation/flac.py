@@ -41,7 +41,7 @@ def flac_scale(s: F64, a: F64, channel: int, m: int, u: F64, trace: F64) -> floa
         return 1.0
     w = s[WINDOWS + channel * WINDOW_SIZE : WINDOWS + (channel + 1) * WINDOW_SIZE]
     push(w, int(a[LENGTH]), u[0], u[1], u[2])
-    found = np.empty(5)
+    found = np.empty(7)
     weights = trace[FIRING : FIRING + 9]
     if statistics(w, int(a[LENGTH]), m, found):
         mean, spread = deviate_of_chi2(w[COUNT] * found[4], float(m)), found[1]

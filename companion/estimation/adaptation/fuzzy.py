@@ -44,7 +44,15 @@ from companion.estimation.adaptation.parameters import (
     USUAL,
 )
 from companion.estimation.adaptation.window import push, statistics
-from companion.navigation.layout import ADAPTED, Q_SCALE, R_SCALE, RECEPTION, WINDOW_SIZE, WINDOWS
+from companion.navigation.layout import (
+    ADAPTED,
+    Q_SCALE,
+    R_LEAST,
+    R_SCALE,
+    RECEPTION,
+    WINDOW_SIZE,
+    WINDOWS,
+)
 from companion.types import F64
 
 # channels, as types.Channel
@@ -105,8 +113,8 @@ def attribute(s: F64, w: F64, channel: int, correlated: float) -> tuple[float, f
     """Shares of a mean that are the inertial unit's and the source's; the rest is noise.
 
     A Doppler velocity has hardly an error that lasts: a mean there is the inertial unit's, and what
-    it did to velocity it did to position. Fewer satellites or less accuracy than usual: the
-    receiver says itself where the mean comes from.
+    it did to velocity it did to position. Fewer satellites or less accuracy than usual, or
+    interference: the receiver says itself where the mean comes from.
     """
     model = 1.0
     if channel != _VEL_H and channel != _VEL_V:
@@ -147,11 +155,16 @@ def fuzzy_scale(
     shrink = math.sqrt(limit / nis) if nis > limit else 1.0
     push(w, length, u[0] * shrink, u[1] * shrink, u[2] * shrink)
     w[MOTION] = max(strain(s, par), w[MOTION] * (1.0 - 2.0 / length))
-    found = np.empty(5)
+    found = np.empty(7)
     weights = trace[FIRING : FIRING + 9]
     if not statistics(w, length, m, found):
         return now
     mean, spread, correlation = found[0], found[1], found[2]
+    scatter = found[3]
+    if channel < _VEL_H and spread > 0.0:
+        # A step or a drift scatters about the mean, but not between neighbours: it is no noise, and
+        # a position's faults have detectors of their own.
+        scatter, spread = min(scatter, found[5]), max(min(spread, found[6]), 0.0)
     fire(a, mean, spread, weights)
     correlated = ramp(correlation, a[USUAL], a[UNUSUAL])
     w[DRIFT] = correlated * ramp(mean, a[USUAL], a[UNUSUAL])
@@ -159,9 +172,14 @@ def fuzzy_scale(
     shares = np.array([1.0, 1.0 - model - source, 1.0 - model - source])
     # A mean is noise only as far as the receiver itself says that it receives badly.
     lost = s[RECEPTION] if channel <= _VEL_V else 0.0
-    match_r = 1.0 + (found[3] + lost * max(found[4] - found[3] / length, 0.0) - 1.0) * (1.0 + r)
-    target = conclude(a, R_TABLE, weights, shares, now, min(max(match_r, a[R_MIN]), a[R_MAX]), now)
-    now = slew(now, target, a, a[R_MIN], a[R_MAX])
+    match_r = 1.0 + (scatter + lost * max(found[4] - scatter / length, 0.0) - 1.0) * (1.0 + r)
+    # What a receiver claims beyond its configuration may be disproved, but not where it claims more
+    # than usual, nor by innovations that are alike: an error that lasts does not scatter.
+    least = max(a[R_MIN], SMALLEST)
+    if channel <= _VEL_V:
+        least *= max(s[R_LEAST], SMALLEST) ** ((1.0 - lost) * (1.0 - correlated))
+    target = conclude(a, R_TABLE, weights, shares, now, min(max(match_r, least), a[R_MAX]), now)
+    now = slew(now, target, a, least, a[R_MAX])
     s[R_SCALE + channel] = now
     shares[0], shares[1], shares[2] = model, model, model
     # What of the mean R does not explain, P has to: H P Hᵀ so many times larger. Of a state that

@@ -10,6 +10,12 @@ Of a window of n with m components each,
 The first two are turned into standard normal deviates by Wilson and Hilferty's cube root (1931) and
 Paulson's (1942). The largest term of the spread counts as the second largest does, but where a mean
 is held against it: no single innovation, however wrong, decides.
+
+Beside the spread about the mean stands that between neighbours (von Neumann 1941),
+
+    v' = Σ |uₖ − uₖ₋₁|² / 2ν    about χ² with (2 (n−1)² / (3 n − 4)) m degrees of freedom,
+
+which noise gives likewise, but a step or a drift inside the window, which is no noise, does not.
 """
 
 from __future__ import annotations
@@ -54,7 +60,7 @@ def deviate_of_f(x: float, dof: float, dof_below: float) -> float:
 
 @njit("b1(f8[::1], i8, i8, f8[::1])", cache=True)
 def statistics(w: F64, length: int, m: int, out: F64) -> bool:
-    """Fill ``out`` (5,): deviates of mean, spread and correlation, v, and |ū|²/m.
+    """Fill ``out`` (7,): deviates of mean, spread and correlation, v, |ū|²/m, v' and its deviate.
 
     False with fewer than :data:`FEWEST` innovations; ``out`` is not touched then.
     """
@@ -71,18 +77,26 @@ def statistics(w: F64, length: int, m: int, out: F64) -> bool:
         square += mean[i] * mean[i]
     first = int(w[NEXT]) if n == length else 0
     about, total, product, largest, second = 0.0, 0.0, 0.0, 0.0, 0.0
+    between, widest, next_widest = 0.0, 0.0, 0.0
     previous = RING + 3 * first
     for j in range(n):
         at = RING + 3 * ((first + j) % length)
-        e = 0.0
+        e, jump = 0.0, 0.0
         for i in range(m):
             u = w[at + i]
             d = u - mean[i]
             e += d * d
             total += u * u
             if j > 0:
-                product += u * w[previous + i]
+                before = w[previous + i]
+                product += u * before
+                jump += (u - before) * (u - before)
         previous = at
+        between += jump
+        if jump > widest:
+            widest, next_widest = jump, widest
+        elif jump > next_widest:
+            next_widest = jump
         about += e
         if e > largest:
             largest, second = e, largest
@@ -95,4 +109,7 @@ def statistics(w: F64, length: int, m: int, out: F64) -> bool:
     out[2] = product / max(total, SMALLEST) * math.sqrt(float(n * m))
     out[3] = v
     out[4] = square / m
+    # A step is one difference; it counts as the next one does.
+    out[5] = 0.5 * (between - widest + next_widest) / dof
+    out[6] = deviate_of_chi2(out[5], 2.0 * (n - 1) * (n - 1) * m / (3.0 * n - 4.0))
     return True

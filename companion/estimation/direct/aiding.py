@@ -46,6 +46,7 @@ from companion.estimation.parameters import (
 from companion.estimation.receiver_clock import LET_GO_DRIFT_VAR, LET_GO_VAR
 from companion.estimation.walk import (
     A_AZIMUTH,
+    A_INTERFERENCE,
     A_LET_GO,
     A_SATELLITES,
     A_VALUE,
@@ -105,7 +106,7 @@ def fuse_gnss(
     """Fuse one fix: position and velocity, horizontal and vertical each behind its own gate."""
     y = np.empty(3)
     R = np.empty(3)
-    reception(s, z[A_SATELLITES], z[A_VAR])
+    reception(s, z[A_SATELLITES], z[A_VAR], z[A_INTERFERENCE])
     # With ranges at hand a fix made of them says nothing new, but for the bank's sake.
     halves = 0 if ipar[TIGHT] == 1 and ipar[BANK] == 0 else 4
     for half in range(halves):

@@ -196,7 +196,7 @@ class ImuFusion:
         fused = FusedImu(
             self._first, out_t[:n], rx[by], seq[by], out[:n, :3], out[:n, 3:6],
             np.where(out[:n, lo.ROW_INTERVAL] > 0, out[:n, lo.ROW_INTERVAL], math.nan),
-            out[:n, lo.ROW_EXCESS :],
+            np.zeros(n), out[:n, lo.ROW_EXCESS :],
         )  # fmt: skip
         sources = [self._first, *self._further]
         told = [
@@ -244,6 +244,6 @@ def _joined(parts: Sequence[FusedImu]) -> FusedImu:
     """Several stretches as one, in order."""
     if len(parts) == 1:
         return parts[0]
-    columns = ("t_ns", "t_rx_ns", "seq", "gyro_b", "accel_b", "interval_s", "excess")
+    columns = ("t_ns", "t_rx_ns", "seq", "gyro_b", "accel_b", "interval_s", "clipped", "excess")
     joined = (np.concatenate([getattr(part, name) for part in parts]) for name in columns)
     return FusedImu(parts[-1].source, *joined)
