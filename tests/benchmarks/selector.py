@@ -10,6 +10,7 @@ on: of what is published, and of each member; *best*: of the member that is best
 from __future__ import annotations
 
 import argparse
+import re
 from collections import Counter
 
 import msgspec
@@ -26,6 +27,7 @@ from tests.intake.flights import config, failure, scenario
 
 NAMES = ("error-state+one-imu", "error-state", "direct+one-imu")
 BEGIN_S, JUDGED_S, DURATION_S = 40.0, 45.0, 90.0
+_NUMBER = re.compile(r"\d+\.\d+")
 
 
 def _rms(solution: Solution, simulation: Simulation) -> float:
@@ -73,14 +75,14 @@ def main() -> None:
             errors.append([*one, min(one[1:])])
             switches += len(switched)
             after += [t for t, _ in switched[:1]]
-            reasons.update(f"{kind or 'none'}: {text}" for _, text in switched)
+            reasons.update(f"{kind or 'none'}: {_NUMBER.sub('N', text)}" for _, text in switched)
         first = f"{np.median(after):.1f} {max(after):.1f}" if after else "-"
         rows.append([kind or "none", *(f"{x:.2f}" for x in np.median(errors, axis=0)),
                      f"{max(e[0] for e in errors):.2f}", str(switches), first])  # fmt: skip
     print(f"{seeds} flights each; position m, medians")
     print(table(["fault", "published", *NAMES, "best", "published, worst", "switches, all",
                  "first after s, median, last"], rows))  # fmt: skip
-    print("\nReasons")
+    print("\nReasons, N for their numbers")
     for text, count in reasons.most_common():
         print(f"{count:4}  {text}")
 
