@@ -39,13 +39,11 @@ def klobuchar(
     return C * slant * delay
 
 
-@njit("f8(f8, f8, f8)", cache=True)
-def troposphere(lat: float, height: float, elevation: float) -> float:
-    """Tropospheric delay [m]: Saastamoinen's zenith delay in a standard atmosphere, mapped down.
+@njit("f8(f8, f8)", cache=True, counted=False)
+def zenith_delay(lat: float, height: float) -> float:
+    """Tropospheric delay straight up [m]: Saastamoinen 1972 in a standard atmosphere.
 
-    Zenith: Saastamoinen 1972 with 1013.25 hPa, 15 °C at sea level, −6.5 K/km and 70 % humidity
-    (Groves 2013, section 9.3.2). Mapping 1.001 / √(0.002001 + sin² E) of RTCA DO-229, good above
-    4 degrees, where 1/sin E is not.
+    1013.25 hPa and 15 °C at sea level, −6.5 K/km, 70 % humidity (Groves 2013, section 9.3.2).
     """
     h = min(max(height, 0.0), 20000.0)
     pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568
@@ -53,5 +51,20 @@ def troposphere(lat: float, height: float, elevation: float) -> float:
     vapour = 6.108 * 0.7 * math.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
     dry = 0.0022768 * pressure / (1.0 - 0.00266 * math.cos(2.0 * lat) - 0.00028e-3 * h)
     wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
-    s = math.sin(max(elevation, 0.0))
-    return float((dry + wet) * 1.001 / math.sqrt(0.002001 + s * s))
+    return float(dry + wet)
+
+
+@njit("f8(f8)", cache=True, counted=False)
+def mapped(sin_elevation: float) -> float:
+    """How many times as long the way through the troposphere is as straight up.
+
+    1.001 / √(0.002001 + sin² E) of RTCA DO-229, good above 4 degrees, where 1/sin E is not.
+    """
+    s = max(sin_elevation, 0.0)
+    return float(1.001 / math.sqrt(0.002001 + s * s))
+
+
+@njit("f8(f8, f8, f8)", cache=True)
+def troposphere(lat: float, height: float, elevation: float) -> float:
+    """Tropospheric delay [m] towards ``elevation`` [rad]."""
+    return zenith_delay(lat, height) * mapped(math.sin(elevation))

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from companion._jit import njit
-from companion.gnss.atmosphere import klobuchar, troposphere
+from companion.gnss.atmosphere import klobuchar, mapped, zenith_delay
 from companion.gnss.geometry import geodetic, ned_axes
 from companion.gnss.orbit import E_GROUP_DELAY, E_SAT, OMEGA_E_GPS, clock_polynomial, satellite_at
 from companion.gnss.systems import B3_HZ, B3I, BEIDOU, CARRIER_HZ, L1_HZ, C
@@ -40,7 +40,7 @@ _HORIZON = math.radians(1.0)
 _LOST_CN0 = 5.0
 
 
-@njit("f8(f8[::1], f8, f8, f8, f8[::1])", cache=True)
+@njit("f8(f8[::1], f8, f8, f8, f8[::1])", cache=True, counted=False)
 def line_of_sight(sat: F64, x: float, y: float, z: float, u: F64) -> float:
     """Range [m] with Sagnac to an ECEF point; ``u`` (3,): unit vector towards the satellite."""
     dx, dy, dz = sat[S_POS] - x, sat[S_POS + 1] - y, sat[S_POS + 2] - z
@@ -49,7 +49,7 @@ def line_of_sight(sat: F64, x: float, y: float, z: float, u: F64) -> float:
     return float(r + OMEGA_E_GPS / C * (sat[S_POS] * y - sat[S_POS + 1] * x))
 
 
-@njit("f8(f8[::1], f8[::1], f8[::1], f8[::1])", cache=True)
+@njit("f8(f8[::1], f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def range_rate(sat: F64, u: F64, x: F64, v: F64) -> float:
     """Derivative of :func:`line_of_sight` for a receiver at ``x`` (3,) moving with ``v`` (3,)."""
     rate = 0.0
@@ -137,10 +137,31 @@ def correct(
     return count
 
 
+@njit("void(f8[::1], f8[::1])", cache=True, counted=False)
+def overhead(here: F64, site: F64) -> None:
+    """``site`` (4,): ECEF unit vector up and delay of the troposphere that way [m] at geodetic
+    ``here`` (3,), for all satellites seen from there.
+    """
+    cp = math.cos(here[0])
+    site[0], site[1] = cp * math.cos(here[1]), cp * math.sin(here[1])
+    site[2] = math.sin(here[0])
+    site[3] = zenith_delay(here[0], here[2])
+
+
+@njit("f8(f8[::1], f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
+def range_from(sat: F64, x: F64, site: F64, u: F64) -> float:
+    """As :func:`expected_range`, with ``site`` (4,) of :func:`overhead`."""
+    r = line_of_sight(sat, x[0], x[1], x[2], u)
+    up = site[0] * u[0] + site[1] * u[1] + site[2] * u[2]
+    return float(r + site[3] * mapped(up))
+
+
 @njit("f8(f8[::1], f8[::1], f8[::1], f8[::1])", cache=True, entry=True)
 def expected_range(sat: F64, x: F64, here: F64, u: F64) -> float:
-    """Range [m] to a receiver at ECEF ``x``, geodetic ``here``, with Sagnac and troposphere."""
-    r = line_of_sight(sat, x[0], x[1], x[2], u)
-    cp, sp = math.cos(here[0]), math.sin(here[0])
-    up = cp * (math.cos(here[1]) * u[0] + math.sin(here[1]) * u[1]) + sp * u[2]
-    return r + troposphere(here[0], here[2], math.asin(min(max(up, -1.0), 1.0)))
+    """Range [m] to a receiver at ECEF ``x``, geodetic ``here``, with Sagnac and troposphere.
+
+    ``u`` (3,) is filled: unit vector towards the satellite.
+    """
+    site = np.empty(4)
+    overhead(here, site)
+    return float(range_from(sat, x, site, u))

@@ -34,7 +34,7 @@ def geodetic(x: float, y: float, z: float, out: F64) -> None:
     out[2] = p * c + z * s - n * (1.0 - E2 * s * s)
 
 
-@njit("void(f8, f8, f8[:, ::1])", cache=True, entry=True)
+@njit("void(f8, f8, f8[:, ::1])", cache=True, entry=True, counted=False)
 def ned_axes(lat: float, lon: float, R: F64) -> None:
     """``R`` (3, 3): rows are north, east and down in ECEF, C_ne."""
     sp, cp, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
