@@ -43,24 +43,21 @@ from companion.estimation.parameters import (
     ZERO_VELOCITY,
     ZUPT_VAR,
 )
+from companion.estimation.range_update import fuse_epoch
 from companion.estimation.saturation import SATURATION, saturated
 from companion.estimation.source_faults import report_source, settle, undecided, weigh
 from companion.estimation.tape import RECORDER, Recorder, record_fix, record_row, record_step
 from companion.estimation.update import R_VERDICT, foresee, fuse, note_velocity_fit
-from companion.gnss.corrected import S_RANGE_VAR, S_RATE_VAR, S_SYSTEM
 from companion.measurements.barometer import height
 from companion.measurements.gnss import position, velocity
 from companion.measurements.heading import direction
 from companion.measurements.non_holonomic import sideways
-from companion.measurements.pseudorange import satellite
 from companion.measurements.standstill import observe, zero_rate, zero_velocity
 from companion.navigation.error_model import box_plus
 from companion.navigation.layout import (
     ACCEL_BIAS_B,
     DX,
     EARTH_RATE,
-    EPOCH_SEEN,
-    EPOCH_TAKEN,
     GNSS_GROUND_SPEED,
     GNSS_SPEED,
     GNSS_SPEED_SD,
@@ -132,7 +129,6 @@ SPARE = 12
 
 # channels, as types.Channel
 _POS_H, _POS_V, _VEL_H, _VEL_V, _BARO, _MAG, _COURSE, _ZUPT, _ZARU, _NHC = range(10)
-_RANGE, _RATE = 18, 21  # and the systems after GPS
 
 
 @njit(
@@ -258,76 +254,6 @@ def fuse_gnss(
 
 
 @njit(
-    "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8, f8[::1], i8, f8[:, ::1], f8[:, ::1],"
-    f"f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
-    cache=True,
-)
-def fuse_ranges(
-    s: F64,
-    k: I64,
-    lay: I64,
-    par: F64,
-    ipar: I64,
-    source: int,
-    z: F64,
-    t: int,
-    C: F64,
-    H: F64,
-    W: F64,
-    reports_t: I64,
-    reports: F64,
-    count: int,
-    tape: Recorder,
-) -> int:
-    """Fuse one satellite: range and rate, each behind its own gate.
-
-    Returns the number of report rows after it.
-    """
-    n = lay[L_N]
-    y, one, R, dx = W[SPARE], W[SPARE + 1], W[SPARE + 2], W[3]
-    quat_to_matrix(s, C)
-    measured = satellite(s, lay, C, z, H, y)
-    moved = False
-    for m in range(measured):
-        rate = m == 1
-        if rate:
-            for j in range(n):
-                H[0, j] = H[1, j]
-                # The range has moved the state; that it turns the line of sight is in H.
-                if moved and ipar[FEEDFORWARD] == 0:
-                    y[1] -= H[1, j] * dx[j]
-        one[0], R[0] = y[m], z[S_RATE_VAR if rate else S_RANGE_VAR]
-        channel = (_RATE if rate else _RANGE) + int(z[S_SYSTEM])
-        good = fuse(s, lay, par, ipar, channel, source, 0.0, H, one, R, 1, W, reports[count], tape)
-        reports_t[count] = t
-        count += 1
-        if rate:
-            if good:
-                k[T_VELOCITY_AID] = t
-        else:
-            moved = good
-            k[EPOCH_SEEN] += 1
-            k[EPOCH_TAKEN] += good
-    return count
-
-
-@njit(f"void(f8[::1], i8[::1], i8[::1], i8[::1], i8, {RECORDER})", cache=True, counted=False)
-def end_epoch(s: F64, k: I64, lay: I64, ipar: I64, t: int, tape: Recorder) -> None:
-    """What is due once all satellites of an epoch are in: it counts as a fix if most agree.
-
-    One satellite more or less that agrees by chance says nothing of the place.
-    """
-    if 2 * k[EPOCH_TAKEN] > k[EPOCH_SEEN]:
-        k[T_POSITION_AID] = t
-        k[REFUSED_SINCE] = 0
-        after_fix(s, lay, ipar, tape)
-        record_fix(tape, t)
-    elif k[REFUSED_SINCE] == 0:
-        k[REFUSED_SINCE] = t
-    k[EPOCH_SEEN] = k[EPOCH_TAKEN] = 0
-
-
-@njit(
     "i8(f8[::1], i8[::1], i8[::1], f8[::1], i8[::1], i8[::1], f8[::1], i8, f8[:, ::1],"
     f"f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8, {RECORDER})",
     cache=True,
@@ -350,16 +276,9 @@ def fuse_aid(
     count: int,
     tape: Recorder,
 ) -> int:
-    """Fuse one row of the aid table; returns the number of report rows after it."""
+    """Fuse one row of the aid table, but of ranges; returns the number of report rows after it."""
     if kind[0] == KIND_GNSS:
         return fuse_gnss(
-            s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count, tape
-        )
-    if kind[0] == KIND_RANGE:
-        # Filters that compete on their heading take the fixes made of the ranges.
-        if ipar[BANK] == 1:
-            return count
-        return fuse_ranges(
             s, k, lay, par, ipar, kind[1], z, t, C, H, W, reports_t, reports, count, tape
         )
     y, R = W[SPARE], W[SPARE + 1]
@@ -588,14 +507,23 @@ def _walk(
             if taped:
                 record_step(tape, s, lay, par)
             healthy = propagate(s, lay, par, B, W) and healthy
-            n_reports = fuse_aid(
-                s, k, lay, par, ipar, aid_kind[j], aid[j], aid_t[j], C, H, W,
-                reports_t, reports, n_reports, tape,
-            )  # fmt: skip
+            first, ranges = j, aid_kind[j, 0] == KIND_RANGE
             j += 1
+            if not ranges:
+                n_reports = fuse_aid(
+                    s, k, lay, par, ipar, aid_kind[first], aid[first], aid_t[first], C, H, W,
+                    reports_t, reports, n_reports, tape,
+                )  # fmt: skip
+                continue
             # Ranges are the last kind at their time.
-            if k[EPOCH_SEEN] > 0 and (j == at[3] or aid_t[j] != aid_t[j - 1]):
-                end_epoch(s, k, lay, ipar, aid_t[j - 1], tape)
+            while j < at[3] and aid_t[j] == aid_t[first]:
+                j += 1
+            # Filters that compete on their heading take the fixes made of the ranges.
+            if ipar[BANK] == 0:
+                n_reports = fuse_epoch(
+                    s, k, lay, par, ipar, aid, aid_kind, first, j, aid_t[first], C, B[0], W,
+                    reports_t, reports, n_reports, tape,
+                )  # fmt: skip
         _step(s, k, scale, par, sample, t, t, mixed, C)
         for c in range(6):
             s[LAST_GYRO + c] = sample[c]

@@ -101,10 +101,8 @@ T_CHECK = 14  # sample at which the last decision above the kernel was taken
 TAPE_AT = 15  # (6) where the smoother's tape stands, see tape.py
 SOURCE_K = 21  # as SOURCE
 SOURCE_INTS = 10
-EPOCH_SEEN = SOURCE_K + 2 * SOURCE_INTS  # ranges of the running epoch
-EPOCH_TAKEN = EPOCH_SEEN + 1  # those that were accepted
-REFUSED_SINCE = EPOCH_SEEN + 2  # time from which on most ranges of every epoch were refused
-INT_SIZE = EPOCH_SEEN + 3
+REFUSED_SINCE = SOURCE_K + 2 * SOURCE_INTS  # time from which on most ranges of epochs were refused
+INT_SIZE = REFUSED_SINCE + 1
 
 # --- error state
 POS, VEL, ATT, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
