@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
-from companion.config import Bank, Config, Direct, load, parse, to_toml
+from companion.config import Bank, CanBus, Config, Direct, load, parse, to_toml
 from companion.config.settings import alone
 from companion.types import Recording
 from replay.reader import has_inputs
-from replay.streams import SLOW_HZ, rate_hz
+from replay.streams import SLOW_HZ, GnssClock, rate_hz
 
 _DEFAULT_LATENCY_MS = {
     # ArduPilot streams samples behind its 20 Hz filter, and a fix when it has arrived.
@@ -63,6 +64,29 @@ def _imu_rate_hz(recording: Recording) -> float:
             if vehicle.imu and stream.kind == "imu" and stream.source == vehicle.imu[0].source:
                 return stream.rate_hz
     return 0.0
+
+
+def stated_clock(text: str | None) -> GnssClock | None:
+    """On which time a folder's stamps run by ``raw_gnss.clock`` of a TOML; None: it does not say.
+
+    What is wrong with the text otherwise, its reader says.
+    """
+    try:
+        section = tomllib.loads(text or "").get("raw_gnss", {})
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return None
+    clock = section.get("clock") if isinstance(section, dict) else None
+    return "gps" if clock == "gps" else "utc" if clock == "utc" else None
+
+
+def said_of_data(path: Path | None) -> tuple[tuple[CanBus, ...], GnssClock | None]:
+    """What a configuration says that reading needs: CAN buses, and the clock of raw GNSS.
+
+    Raises :class:`~companion.types.ConfigError` for a file that cannot be used.
+    """
+    if path is None:
+        return (), None
+    return load(path).can, stated_clock(path.read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +173,10 @@ def choose_config(recording: Recording, path: Path | None = None) -> ChosenConfi
         )
     else:
         config, origin = Config(), "defaults: consumer MEMS, no latency (--config says it better)"
+        if any(v.raw and not has_inputs(v) for v in recording.vehicles):
+            raw = msgspec.structs.replace(config.raw_gnss, coupling="tight")
+            config = msgspec.structs.replace(config, raw_gnss=raw)
+            origin += "; tight coupling, as raw GNSS is all there is"
     if config.engine.estimator == "auto" and _is_slow(recording):
         config, said = _slow(config, path is None and recording.config_toml is None)
         origin += said

@@ -73,13 +73,14 @@ def navigable(
         raise LogFormatError(f"{recording.path}: no vehicle '{name}'; it has {', '.join(known)}")
     direct = config is not None and config.engine.estimator == "direct"
     minimum_hz = 0.0 if direct else SLOW_HZ
+    ranges = config is None or config.raw_gnss.coupling != "off"
     fit: list[VehicleRecording] = []
     refused: list[Refused] = []
     errors: list[CompanionError] = []
     for vehicle in recording.vehicles:
         if name in (None, vehicle.name):
             try:
-                require_inputs(vehicle, minimum_hz)
+                require_inputs(vehicle, minimum_hz, ranges)
                 fit.append(vehicle)
             except CompanionError as error:
                 refused.append(Refused(vehicle.name, str(error)))

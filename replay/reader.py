@@ -14,7 +14,7 @@ from companion.types import (
     Recording,
     VehicleRecording,
 )
-from replay.streams import SLOW_HZ, rate_hz
+from replay.streams import SLOW_HZ, GnssClock, rate_hz
 
 READABLE = (
     "a .tlog, DataFlash .BIN, PX4 .ulg, our own .mcap, a candump .log or .log.gz, "
@@ -100,12 +100,12 @@ def looks_readable(path: Path) -> bool:
         return False
 
 
-def _read(path: Path, can: Sequence[CanBus]) -> Recording:
+def _read(path: Path, can: Sequence[CanBus], clock: GnssClock | None) -> Recording:
     """One path of any readable format. The readers are imported when needed: start-up counts."""
     if path.is_dir():
         from replay.sensor_folder import read_folder
 
-        return read_folder(path)
+        return read_folder(path, clock)
     kind = _kind(path)
     if kind == "tlog":
         from replay.tlog import read_tlog
@@ -157,21 +157,26 @@ def _merge(recordings: Sequence[Recording]) -> Recording:
 
 
 def read_log(
-    paths: Sequence[Path], *, vehicle: str | None = None, can: Sequence[CanBus] = ()
+    paths: Sequence[Path],
+    *,
+    vehicle: str | None = None,
+    can: Sequence[CanBus] = (),
+    clock: GnssClock | None = None,
 ) -> Recording:
     """Read one run from one or more paths.
 
     Recorded CAN traffic beside another log becomes IMUs of that log's vehicle. ``vehicle``: keep
     only the vehicle of this name. ``can``: the configuration's buses, for units that a recording
-    does not tell by itself. Raises :class:`LogFormatError` with one line if a path cannot be read,
-    is of no readable format, or lacks that vehicle.
+    does not tell by itself. ``clock``: of a sensor folder's stamps, where the configuration says
+    it (``raw_gnss.clock``); else its ``vehicle.toml`` does. Raises :class:`LogFormatError` with one
+    line if a path cannot be read, is of no readable format, or lacks that vehicle.
     """
     if not paths:
         raise LogFormatError(f"no log given; readable is {READABLE}")
     recordings = []
     for path in paths:
         try:
-            recordings.append(_read(Path(path), can))
+            recordings.append(_read(Path(path), can, clock))
         except CompanionError:
             raise
         except (OSError, MemoryError) as error:
@@ -202,15 +207,23 @@ def has_inputs(vehicle: VehicleRecording) -> bool:
     return bool(vehicle.imu) and any((gnss.fix_type >= 2).any() for gnss in vehicle.gnss)
 
 
-def require_inputs(vehicle: VehicleRecording, minimum_hz: float = SLOW_HZ) -> None:
+def require_inputs(
+    vehicle: VehicleRecording, minimum_hz: float = SLOW_HZ, ranges: bool = True
+) -> None:
     """Refuse what a filter cannot be run on; ``minimum_hz`` is that of a strapdown one.
 
-    Raises :class:`LogFormatError` without an IMU or without any GNSS fix, and
+    ``ranges``: whether raw GNSS is used. Raises :class:`LogFormatError` without an IMU or without
+    any GNSS that is used, and
     :class:`ImuTooSlowError`, naming stream and rate, if the best IMU is below ``minimum_hz``.
     """
     if not vehicle.imu:
         raise LogFormatError(f"{vehicle.name}: no inertial measurements in the log")
     # First what no filter can do without: the hint to another one would lead nowhere.
+    if not has_inputs(vehicle) and vehicle.raw and not ranges:
+        raise LogFormatError(
+            f'{vehicle.name}: raw GNSS is all there is, and raw_gnss.coupling is "off": set '
+            '"tight" or "loose"'
+        )
     if not vehicle.raw and not has_inputs(vehicle):
         raise LogFormatError(f"{vehicle.name}: no GNSS fix in the log")
     best = vehicle.imu[0]

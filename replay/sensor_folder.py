@@ -11,7 +11,6 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -28,7 +27,8 @@ from companion.types import (
     Recording,
     ReferenceSamples,
 )
-from replay.streams import G, finish_vehicle, numbered
+from replay.configuration import stated_clock
+from replay.streams import G, GnssClock, finish_vehicle, numbered
 
 _DEG = np.pi / 180.0
 _GYRO = ("gyro_x_radps", "gyro_y_radps", "gyro_z_radps")
@@ -251,15 +251,6 @@ def _name(config: str | None) -> str:
     return name if isinstance(name, str) and name else "vehicle"
 
 
-def _gnss_clock(config: str | None) -> Literal["utc", "gps"]:
-    """On which time the folder's stamps run, ``raw_gnss.clock``; UTC unless it says otherwise."""
-    try:
-        section = tomllib.loads(config or "").get("raw_gnss", {})
-    except (tomllib.TOMLDecodeError, RecursionError):
-        return "utc"
-    return "gps" if isinstance(section, dict) and section.get("clock") == "gps" else "utc"
-
-
 def _units(folder: Path, stem: str) -> list[Path]:
     """``imu.csv``, ``imu2.csv``, … in order."""
     numbered_files = [
@@ -270,8 +261,8 @@ def _units(folder: Path, stem: str) -> list[Path]:
     return [path for _, path in sorted(numbered_files)]
 
 
-def read_folder(folder: Path) -> Recording:
-    """Read a sensor folder.
+def read_folder(folder: Path, clock: GnssClock | None = None) -> Recording:
+    """Read a sensor folder. ``clock``: of its stamps; None: as its ``vehicle.toml`` says, or UTC.
 
     Raises :class:`LogFormatError` if it has neither ``imu.csv`` nor ``gnss.csv``, or if a file in
     it is not what its name says, with file and line.
@@ -296,12 +287,16 @@ def read_folder(folder: Path) -> Recording:
     raws: list[RawGnssSamples] = []
     broadcasts: list[BroadcastSamples] = []
     if (folder / "raw_gnss").is_dir():
-        from replay.raw_gnss.folder import read_raw_folder
+        from replay.raw_gnss.folder import doubted_clock, read_raw_folder
 
-        begins = int((imus or fixes)[0].t_ns[0])
-        found = read_raw_folder(folder / "raw_gnss", _gnss_clock(config), begins)
+        first = (imus or fixes)[0]
+        begins = int(first.t_ns[0]) if len(first) else None
+        clock = clock or stated_clock(config) or "utc"
+        found = read_raw_folder(folder / "raw_gnss", clock, begins)
         raws, broadcasts = [found.raw], [found.broadcast]
         notes += found.notes
+        doubt = doubted_clock(found.raw, first, clock)
+        notes += [doubt] if doubt else []
     imus, fixes, baros, mags, broadcasts, raws, truths = numbered(
         [imus, fixes, baros, mags, broadcasts, raws, truths]
     )

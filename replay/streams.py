@@ -27,6 +27,8 @@ from companion.types import (
 )
 
 S = TypeVar("S", bound=Samples)
+GnssClock = Literal["utc", "gps"]
+"""Time of a recording's stamps beside raw GNSS: POSIX nanoseconds in UTC, or in GPS time."""
 Kind = Literal["imu", "gnss", "baro", "mag", "attitude", "raw", "truth", "autopilot"]
 
 SLOW_HZ = 20.0
@@ -86,7 +88,7 @@ def finite(samples: S, *names: str) -> tuple[S, int]:
     keep = np.ones(len(samples), np.bool_)
     for name in names:
         values: NDArray[Any] = getattr(samples, name)
-        keep &= np.isfinite(values).reshape(len(samples), -1).all(axis=1)
+        keep &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return (samples, 0) if keep.all() else (samples.take(keep), int((~keep).sum()))
 
 

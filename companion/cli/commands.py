@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from companion import _jit, present
-from companion.config import CanBus, load, to_toml
+from companion.config import to_toml
 from companion.config.settings import alone
 from companion.types import (
     CompanionError,
@@ -56,6 +56,8 @@ def replay_logs(
         from replay import session
     for one in refused:
         console.print(f"[yellow]Vehicle {escape(one.name)} left out: {escape(one.reason)}")
+    if chosen.config.raw_gnss.coupling == "off" and any(vehicle.raw for vehicle in fit):
+        console.print('Note      raw GNSS is there and not used: raw_gnss.coupling is "off"')
     runs = []
     with session.run_log(path, recording, chosen, outages) as writer:
         for vehicle in fit:
@@ -133,14 +135,20 @@ def publication(
 
 
 def read_recording(
-    console: Console, logs: Sequence[Path], vehicle_name: str | None, can: Sequence[CanBus] = ()
+    console: Console,
+    logs: Sequence[Path],
+    vehicle_name: str | None,
+    config_path: Path | None = None,
 ) -> Recording:
+    """Read a run; ``config_path`` for what only a configuration knows of it: CAN units, clocks."""
     if all(path.exists() for path in logs):
         compile_kernels()
+    from replay.configuration import said_of_data
     from replay.reader import read_log
 
+    can, clock = said_of_data(config_path)
     with present.notice_if_slow(console, "Reading …"):
-        recording = read_log(logs, vehicle=vehicle_name, can=can)
+        recording = read_log(logs, vehicle=vehicle_name, can=can, clock=clock)
     for note in recording.notes:
         console.print(f"Note      {escape(note)}")
     return recording
@@ -159,9 +167,7 @@ def read(
     """
     from replay.configuration import choose_config
 
-    # The units of a CAN recording may be known from the configuration only.
-    can = load(config_path).can if config_path is not None else ()
-    recording = read_recording(console, logs, vehicle_name, can)
+    recording = read_recording(console, logs, vehicle_name, config_path)
     chosen = choose_config(recording, config_path)
     if estimator is not None:
         chosen = _one_estimator(chosen, estimator)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from companion.config import Config, load, to_toml
+from companion.config import Config, to_toml
 from companion.types import (
     AidingReports,
     Channel,
@@ -21,7 +21,7 @@ from companion.types import (
 )
 from replay.assessment import assess
 from replay.batch.outcome import Row
-from replay.configuration import ChosenConfig, choose_config
+from replay.configuration import ChosenConfig, choose_config, said_of_data
 from replay.evaluation import Evaluation, EvaluationError
 from replay.preparation import navigable
 from replay.reader import read_log
@@ -51,8 +51,8 @@ def work_on(
     :class:`NotWritten` where its page has no place.
     """
     config_path = None if config is None else Path(config)
-    can = load(config_path).can if config_path is not None else ()
-    recording = read_log([Path(log)], can=can)
+    can, clock = said_of_data(config_path)
+    recording = read_log([Path(log)], can=can, clock=clock)
     chosen = _without_on_line(choose_config(recording, config_path))
     fit, refused = navigable(recording, chosen.config)
     withheld = read_windows(recording.metadata.get("outages", ""))

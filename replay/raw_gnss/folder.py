@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, leap_seconds, week_and_tow
+from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, WEEK_S, leap_seconds, week_and_tow
 from companion.types import (
     NS,
     BroadcastSamples,
@@ -27,9 +27,11 @@ from replay.raw_gnss.rinex_navigation import read_navigation
 from replay.raw_gnss.rinex_observations import read_observations, text_lines, version_and_type
 from replay.raw_gnss.rtcm import SUFFIXES, read_rtcm
 from replay.raw_gnss.ubx import read_ubx
+from replay.streams import GnssClock
 
-Clock = Literal["utc", "gps"]
 S = TypeVar("S", bound=Samples)
+_TOGETHER_S = 5.0
+"""Two files of one logger begin and end within this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +43,7 @@ class RawFolder:
     notes: tuple[str, ...]
 
 
-def read_raw_folder(folder: Path, clock: Clock, near_ns: int | None = None) -> RawFolder:
+def read_raw_folder(folder: Path, clock: GnssClock, near_ns: int | None = None) -> RawFolder:
     """Read every file of ``folder``; its stamps are of a POSIX clock that runs on ``clock`` time.
 
     ``near_ns``: where on that clock the recording begins; RTCM 3 does not tell the week.
@@ -86,12 +88,33 @@ def _gps_time(near_ns: int | None) -> tuple[int, float] | None:
     return week_and_tow(gps_ns) if gps_ns > RTCM_SINCE_S * NS else None
 
 
-def on_clock(samples: S, clock: Clock) -> S:
+def on_clock(samples: S, clock: GnssClock) -> S:
     """GPS time stamps as those of a POSIX clock in UTC, or in GPS time without leap seconds."""
     seconds = samples.t_ns[0] / NS if len(samples) else 0.0
     late = GPS_EPOCH_POSIX_S - (leap_seconds(seconds) if clock == "utc" else 0)
     moved: S = replace(samples, t_ns=samples.t_ns + late * NS, t_rx_ns=samples.t_rx_ns + late * NS)
     return moved
+
+
+def doubted_clock(raw: RawGnssSamples, beside: Samples, clock: GnssClock) -> str | None:
+    """A doubt where both recordings would begin and end together on the other ``clock``.
+
+    Leap seconds off, a vehicle is where it was a quarter of a minute ago, and every gate says no
+    without saying why.
+    """
+    if not (len(raw) and len(beside)):
+        return None
+    leap = leap_seconds(raw.week[0] * WEEK_S + raw.tow[0])
+    ends = np.array([raw.t_ns[0] - beside.t_ns[0], raw.t_ns[-1] - beside.t_ns[-1]]) / NS
+    other: GnssClock = "gps" if clock == "utc" else "utc"
+    moved = ends + (leap if clock == "utc" else -leap)
+    if np.abs(moved).max() >= _TOGETHER_S or np.abs(ends).max() < leap - _TOGETHER_S:
+        return None
+    return (
+        f"raw_gnss/ runs {abs(ends.mean()):.0f} s {'ahead of' if ends.mean() < 0 else 'behind'} "
+        f"{beside.source}.csv, as leap seconds do: are its stamps of the other clock? "
+        f'raw_gnss.clock = "{other}" would say so'
+    )
 
 
 def _from_the_start(parts: list[BroadcastSamples], t_ns: int) -> BroadcastSamples:

@@ -16,7 +16,7 @@ import pytest
 
 from companion.config import RawGnss
 from companion.gnss.receiver import Receiver
-from companion.gnss.single_point import P_POS
+from companion.gnss.single_point import P_DOF, P_POS
 from companion.types import F64, BroadcastSamples, CompanionError, RawGnssSamples
 from replay.raw_gnss.android import read_gnss_logger
 from replay.raw_gnss.rinex_navigation import read_navigation
@@ -94,11 +94,13 @@ def _whole(kind: str) -> tuple[RawGnssSamples, BroadcastSamples]:
 
 
 def _places(raw: RawGnssSamples, *broadcasts: BroadcastSamples) -> list[F64]:
+    """Places of epochs with more ranges than unknowns: of no others can a digit be told wrong."""
     receiver = Receiver(RawGnss())
     for broadcast in broadcasts:
         receiver.listen(broadcast)
     prepared = [receiver.take(raw, i) for i in range(min(len(raw), EPOCHS))]
-    return [p.point[P_POS : P_POS + 3] for p in prepared if p.point is not None]
+    points = [p.point for p in prepared if p.point is not None]
+    return [point[P_POS : P_POS + 3] for point in points if point[P_DOF] >= 1]
 
 
 def _fuzz(kind: str, count: int, folder: Path, seed: int) -> None:
