@@ -24,7 +24,15 @@ import numpy as np
 
 from companion.config import Config
 from companion.estimation import update as up
-from companion.estimation import walk as w
+from companion.estimation.aid_table import (
+    AID_SIZE,
+    KIND_ATTITUDE,
+    KIND_BARO,
+    KIND_GNSS,
+    KIND_IMU,
+    KIND_MAG,
+    KIND_RANGE,
+)
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.choice import new_estimator
 from companion.estimation.recording import Recording, Tape
@@ -73,12 +81,12 @@ FORGET_NS = NS // 4
 def _kinds() -> list[int]:
     """Kind of aid (``walk.KIND_``) behind each channel; −1 for constraints."""
     kinds = [-1] * (max(Channel) + 1)
-    kinds[:7] = 0, 0, 0, 0, w.KIND_BARO, w.KIND_MAG, w.KIND_GNSS
-    kinds[Channel.ATTITUDE] = w.KIND_ATTITUDE
-    kinds[Channel.GYRO] = kinds[Channel.ACCELEROMETER] = w.KIND_IMU
-    kinds[Channel.SOURCE_H] = kinds[Channel.SOURCE_V] = w.KIND_GNSS
+    kinds[:7] = 0, 0, 0, 0, KIND_BARO, KIND_MAG, KIND_GNSS
+    kinds[Channel.ATTITUDE] = KIND_ATTITUDE
+    kinds[Channel.GYRO] = kinds[Channel.ACCELEROMETER] = KIND_IMU
+    kinds[Channel.SOURCE_H] = kinds[Channel.SOURCE_V] = KIND_GNSS
     for channel in range(Channel.RANGE_GPS, Channel.RATE_BEIDOU + 1):
-        kinds[channel] = w.KIND_RANGE
+        kinds[channel] = KIND_RANGE
     return kinds
 
 
@@ -105,7 +113,7 @@ class Engine:
         self._ranges = RangeIntake(config)
         self._outlet = Outlet()
         self._imu = SampleBuffer(IMU_SIZE)
-        self._aids = SampleBuffer(w.AID_SIZE, key_width=2)
+        self._aids = SampleBuffer(AID_SIZE, key_width=2)
         self.on_line = OnLine(config)
         self._finished = False
         self._ring_ns = round(config.engine.delay_ring_s * NS)

@@ -11,11 +11,20 @@ from dataclasses import replace
 import numpy as np
 
 from companion.estimation import update as up
-from companion.estimation import walk as w
 from companion.estimation.adaptation import layout as al
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.choice import Estimator
 from companion.estimation.digest import RowDigest
+from companion.estimation.output_row import (
+    O_ACCEL_BIAS,
+    O_COV,
+    O_GYRO_BIAS,
+    O_LAT,
+    O_MODE,
+    O_Q,
+    O_RESETS,
+    O_VEL,
+)
 from companion.types import (
     F64,
     I64,
@@ -243,14 +252,14 @@ def solution_of(parts: list[tuple[I64, F64]]) -> Solution:
         r = np.concatenate([part[1] for part in parts])
     return Solution(
         t,
-        r[:, w.O_LAT],
-        r[:, w.O_LAT + 1],
-        r[:, w.O_LAT + 2],
-        r[:, w.O_VEL : w.O_VEL + 3],
-        r[:, w.O_Q : w.O_Q + 4],
-        r[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3],
-        r[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3],
-        r[:, w.O_COV : w.O_COV + 30].reshape(-1, 5, 6),
-        r[:, w.O_MODE].astype(np.int64),
-        r[:, w.O_RESETS].astype(np.int64),
+        r[:, O_LAT],
+        r[:, O_LAT + 1],
+        r[:, O_LAT + 2],
+        r[:, O_VEL : O_VEL + 3],
+        r[:, O_Q : O_Q + 4],
+        r[:, O_ACCEL_BIAS : O_ACCEL_BIAS + 3],
+        r[:, O_GYRO_BIAS : O_GYRO_BIAS + 3],
+        r[:, O_COV : O_COV + 30].reshape(-1, 5, 6),
+        r[:, O_MODE].astype(np.int64),
+        r[:, O_RESETS].astype(np.int64),
     )

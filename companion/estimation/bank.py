@@ -8,10 +8,10 @@ import numpy as np
 
 from companion._jit import njit
 from companion.config import DEG
+from companion.estimation.output_row import O_ACCEL_BIAS, O_COV, O_Q, O_VEL
 from companion.estimation.phases import Check, Filter, Phase, Setup
 from companion.estimation.recording import Tape
 from companion.estimation.source_faults import forget
-from companion.estimation.walk import O_ACCEL_BIAS, O_COV, O_Q, O_VEL
 from companion.navigation import layout as lo
 from companion.navigation.rotation import rotate_nav, yaw_of
 from companion.types import F64, I64, NS, Event, Mode

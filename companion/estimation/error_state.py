@@ -16,6 +16,7 @@ from companion.estimation import bank, recovery, start
 from companion.estimation import parameters as par
 from companion.estimation import walk as w
 from companion.estimation.buffers import SampleBuffer
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.phases import Filter, Phase, Setup
 from companion.estimation.recording import Recording, Tape, nothing
 from companion.estimation.stretch import Stretch
@@ -30,9 +31,9 @@ class ErrorStateFilter:
     def __init__(self, config: Config, record: Recording = "no") -> None:
         self.setup = Setup(config, record)
         self.phases = [Phase(np.iinfo(np.int64).min, Mode.ALIGNING)]
-        self.rows = SampleBuffer(w.ROW_SIZE)
+        self.rows = SampleBuffer(ROW_SIZE)
         self.reports = SampleBuffer(REPORT_SIZE)
-        self._unread = SampleBuffer(w.ROW_SIZE), SampleBuffer(REPORT_SIZE)
+        self._unread = SampleBuffer(ROW_SIZE), SampleBuffer(REPORT_SIZE)
         """What filters of the bank put out beside the one that is published."""
         self.events: list[Event] = []
         self.stretches: list[Stretch] = []

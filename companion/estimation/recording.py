@@ -8,16 +8,16 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from companion.estimation import tape as tp
-from companion.estimation import walk as w
+from companion.estimation.output_row import O_COV, O_MODE, O_RESETS
 from companion.navigation import layout as lo
 from companion.types import F64, I64
 
 STEPS_OF_CHUNK = 3000
 """Covariance steps of a chunk at least: a minute at 50 Hz. The smoother starts anew from P at each
 chunk, so that rounding does not travel far; P is small against that much tape."""
-NOMINAL = w.O_COV
+NOMINAL = O_COV
 """Columns of an output row that a smoother corrects: all before the covariance."""
-_KEPT = [*range(NOMINAL), w.O_MODE, w.O_RESETS]
+_KEPT = [*range(NOMINAL), O_MODE, O_RESETS]
 
 Recording = Literal["no", "states", "covariance", "inputs", "all"]
 """What a filter leaves for a smoother: a tape, for the states alone or covariances with them; the

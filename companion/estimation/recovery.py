@@ -13,6 +13,7 @@ import numpy as np
 from companion.estimation import parameters as par
 from companion.estimation import source_faults as sf
 from companion.estimation import walk as w
+from companion.estimation.aid_table import KIND_GNSS
 from companion.estimation.bank import spread_headings
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.phases import Check, Filter, Phase, Setup
@@ -100,7 +101,7 @@ def _without_velocity(aids: SampleBuffer, t: int) -> bool:
     recent = [
         m
         for m in range(aids.start, aids.after(t))
-        if aids.key[m, 0] == w.KIND_GNSS and aids.t[m] > t - 5 * NS
+        if aids.key[m, 0] == KIND_GNSS and aids.t[m] > t - 5 * NS
     ]
     places = [m for m in recent if np.all(np.isfinite(aids.rows[m, :3]))]
     return len(places) >= RELOCK_FIXES and not np.isfinite(aids.rows[recent, 3:5]).any()
@@ -162,7 +163,7 @@ def _without_pull(setup: Setup, f: Filter, t: int, part: int, way: F64) -> Phase
 def _at_source(setup: Setup, f: Filter, t: int, part: int, aids: SampleBuffer) -> Phase:
     """The filter at the place that the source has told for long."""
     s, k = _whole(setup, f)
-    m = max(m for m in range(aids.start, aids.after(t)) if aids.key[m, 0] == w.KIND_GNSS)
+    m = max(m for m in range(aids.start, aids.after(t)) if aids.key[m, 0] == KIND_GNSS)
     last, ahead = aids.rows[m], (t - int(aids.t[m])) / NS
     velocity = np.where(np.isfinite(last[3:6]), last[3:6], s[lo.VEL_N : lo.VEL_N + 3])
     off = ned_difference(*last[:3], *s[lo.LAT : lo.LAT + 3])
@@ -221,7 +222,7 @@ def agreeing_fixes(aids: SampleBuffer, t: int) -> list[int]:
     fixes = [
         m
         for m in range(aids.start, aids.after(t))
-        if aids.key[m, 0] == w.KIND_GNSS
+        if aids.key[m, 0] == KIND_GNSS
         and np.all(np.isfinite(aids.rows[m, :5]))
         and aids.t[m] > t - 5 * NS
     ][-RELOCK_FIXES:]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.estimation import tape as tp
-from companion.estimation import walk as w
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.recording import Column, grown, position
 from companion.navigation import layout as lo
 from companion.types import F64, I64
@@ -51,7 +51,7 @@ class RunningTape:
         # An update may be a fix: its mark comes on top.
         self.kinds = grown(self.kinds, int(at[tp.KIND]) + steps + 4 * updates + rows)
         self.coarse = grown(self.coarse, int(at[tp.COARSE]) + tp.C_STEP * steps)
-        numbers = tp.F_STEP_WITH_SCALE * steps + (tp.F_TIME + w.ROW_SIZE + triangle) * rows
+        numbers = tp.F_STEP_WITH_SCALE * steps + (tp.F_TIME + ROW_SIZE + triangle) * rows
         numbers += (tp.F_GAIN + 2 * self.n + tp.F_TURN + tp.F_FADE + tp.F_TIME) * updates
         self.fine = grown(self.fine, int(at[tp.FINE]) + numbers)
         return self.kinds, self.coarse, self.fine, at

@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.config import DEG, Config
 from companion.estimation import parameters as par
-from companion.estimation import walk as w
+from companion.estimation.aid_table import A_AZIMUTH, KIND_GNSS, KIND_MAG
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.phases import Check, Filter, Phase, Setup
 from companion.navigation import layout as lo
@@ -67,7 +67,7 @@ def align(
     window_ns = round(setup.config.alignment.window_s * NS)
     while j < aids.end and aids.t[j] <= last:
         t = int(aids.t[j])
-        if aids.key[j, 0] == w.KIND_GNSS and np.all(np.isfinite(aids.rows[j, :3])):
+        if aids.key[j, 0] == KIND_GNSS and np.all(np.isfinite(aids.rows[j, :3])):
             begin = max(t - window_ns, phase.start_ns)
             a, b = imu.after(begin - 1), imu.after(t)
             full = b > a and imu.t[a] <= t - int(0.9 * window_ns)
@@ -182,9 +182,9 @@ def _measured_heading(
         for m in range(j, aids.start - 1, -1):
             if t - int(aids.t[m]) > MAG_AGE_NS:
                 break
-            if aids.key[m, 0] == w.KIND_MAG:
+            if aids.key[m, 0] == KIND_MAG:
                 row = aids.rows[m]
-                yaw, slope = heading_from_field(lev.roll, lev.pitch, row[:3], row[w.A_AZIMUTH])
+                yaw, slope = heading_from_field(lev.roll, lev.pitch, row[:3], row[A_AZIMUTH])
                 return _Heading(yaw, 2.0 * cfg.mag.sd_deg * DEG, slope, "magnetometer")
     if (wish == "course" or (wish == "auto" and cfg.constraints.course)) and (
         speed > cfg.constraints.course_min_speed_mps

@@ -9,7 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config import DEG, Config
-from companion.estimation import walk as w
+from companion.estimation.aid_table import (
+    A_AZIMUTH,
+    A_INTERFERENCE,
+    A_LET_GO,
+    A_SATELLITES,
+    A_VAR,
+    AID_SIZE,
+    KIND_ATTITUDE,
+    KIND_BARO,
+    KIND_GNSS,
+    KIND_IMU,
+    KIND_MAG,
+    KIND_RANGE,
+)
 from companion.estimation.buffers import SampleBuffer
 from companion.gnss.corrected import ROW_SIZE
 from companion.intake.counters import Counters
@@ -38,12 +51,12 @@ NEVER = int(np.iinfo(np.int64).min)
 """Time of the last inertial sample where there was none."""
 
 _CHANNEL = {
-    w.KIND_GNSS: Channel.GNSS_POSITION_H,
-    w.KIND_BARO: Channel.BARO,
-    w.KIND_MAG: Channel.MAG,
-    w.KIND_ATTITUDE: Channel.ATTITUDE,
-    w.KIND_IMU: Channel.GYRO,
-    w.KIND_RANGE: Channel.RANGE_GPS,
+    KIND_GNSS: Channel.GNSS_POSITION_H,
+    KIND_BARO: Channel.BARO,
+    KIND_MAG: Channel.MAG,
+    KIND_ATTITUDE: Channel.ATTITUDE,
+    KIND_IMU: Channel.GYRO,
+    KIND_RANGE: Channel.RANGE_GPS,
 }
 """Channel under which a refusal of a whole sample is reported, by kind of aid."""
 
@@ -118,34 +131,34 @@ class AidIntake:
         ``started``: there is a filter, so that a fix is no longer needed to begin at.
         """
         if isinstance(samples, GnssSamples):
-            kind, latency_ms = w.KIND_GNSS, self.config.gnss.latency_ms
+            kind, latency_ms = KIND_GNSS, self.config.gnss.latency_ms
             if samples.source == SINGLE_POINT:
                 latency_ms = self.config.raw_gnss.latency_ms
             rows, verdict = self._gnss(samples, started)
         elif isinstance(samples, RangeSamples):
-            kind, latency_ms = w.KIND_RANGE, self.config.raw_gnss.latency_ms
+            kind, latency_ms = KIND_RANGE, self.config.raw_gnss.latency_ms
             rows, verdict = _blank(len(samples))
             rows[:, :ROW_SIZE] = samples.rows
-            rows[:, w.A_LET_GO] = samples.let_go
+            rows[:, A_LET_GO] = samples.let_go
         elif isinstance(samples, BaroSamples):
             if not self.config.baro.use:
                 return None
-            kind, latency_ms = w.KIND_BARO, self.config.baro.latency_ms
+            kind, latency_ms = KIND_BARO, self.config.baro.latency_ms
             rows, verdict = self._baro(samples)
         elif isinstance(samples, ImuSamples):
-            kind, latency_ms = w.KIND_IMU, self.config.imu.latency_ms
+            kind, latency_ms = KIND_IMU, self.config.imu.latency_ms
             own = self.config.further_imu[self._further[samples.source]].latency_ms
             latency_ms = latency_ms if own is None else own
             rows, verdict = self._imu(samples)
         elif isinstance(samples, AttitudeSamples):
             if not self._attitude:
                 return None
-            kind, latency_ms = w.KIND_ATTITUDE, 0.0
+            kind, latency_ms = KIND_ATTITUDE, 0.0
             rows, verdict = self._rpy(samples)
         elif isinstance(samples, MagSamples):
             if not self.config.mag.use:
                 return None
-            kind, latency_ms = w.KIND_MAG, self.config.mag.latency_ms
+            kind, latency_ms = KIND_MAG, self.config.mag.latency_ms
             rows, verdict = self._mag(samples)
         else:
             raise AssertionError("raw measurements are prepared before they come here")
@@ -181,7 +194,7 @@ class AidIntake:
         gone = self.place.hold(samples)
         if gone is not None:
             verdict = np.full(len(gone), Verdict.REFUSED_NOT_ALIGNED)
-            self._refuse(w.KIND_MAG, np.zeros(len(gone), np.int64), gone.t_ns, verdict)
+            self._refuse(KIND_MAG, np.zeros(len(gone), np.int64), gone.t_ns, verdict)
         return True
 
     @property
@@ -208,8 +221,8 @@ class AidIntake:
         else:
             sd = np.fmax(sd, self._gnss_sd)  # where a report is missing, the configured one
         rows[:, 6:12] = sd * sd
-        rows[:, w.A_SATELLITES] = np.where(g.num_sats > 0, g.num_sats, np.nan)
-        rows[:, w.A_INTERFERENCE] = np.clip(g.interference, 0.0, 1.0)
+        rows[:, A_SATELLITES] = np.where(g.num_sats > 0, g.num_sats, np.nan)
+        rows[:, A_INTERFERENCE] = np.clip(g.interference, 0.0, 1.0)
         no_fix = (g.fix_type < cfg.min_fix_type) | (g.sd_pos[:, 0] > cfg.max_sd_position_m)
         no_fix |= g.sd_pos[:, 1] > cfg.max_sd_position_m
         # Written so that NaN counts as broken.
@@ -229,7 +242,7 @@ class AidIntake:
     def _baro(self, samples: BaroSamples) -> tuple[F64, I64]:
         rows, verdict = _blank(len(samples))
         rows[:, 0] = pressure_height(samples.pressure)
-        rows[:, w.A_VAR] = self.config.baro.sd_m**2
+        rows[:, A_VAR] = self.config.baro.sd_m**2
         sane = np.isfinite(rows[:, 0]) & (samples.pressure > 1000) & (samples.pressure < 120000)
         verdict[~sane] = Verdict.REFUSED_INVALID
         return rows, verdict
@@ -237,8 +250,8 @@ class AidIntake:
     def _mag(self, samples: MagSamples) -> tuple[F64, I64]:
         rows, verdict = _blank(len(samples))
         rows[:, :3] = self._mounting.turn(samples.field_b - np.array(self.config.mag.hard_iron_t))
-        rows[:, w.A_VAR] = (self.config.mag.sd_deg * DEG) ** 2
-        rows[:, w.A_AZIMUTH] = self.place.declination
+        rows[:, A_VAR] = (self.config.mag.sd_deg * DEG) ** 2
+        rows[:, A_AZIMUTH] = self.place.declination
         # Written so that NaN counts as broken.
         verdict[~(np.abs(rows[:, :3]).max(axis=1) > 0)] = Verdict.REFUSED_INVALID
         return rows, verdict
@@ -284,7 +297,7 @@ class AidIntake:
 
 def _blank(n: int) -> tuple[F64, I64]:
     """Rows of the aid table, all missing, and verdicts, all usable."""
-    return np.full((n, w.AID_SIZE), np.nan), np.zeros(n, np.int64)
+    return np.full((n, AID_SIZE), np.nan), np.zeros(n, np.int64)
 
 
 def together(seq: I64, t: I64) -> list[slice]:

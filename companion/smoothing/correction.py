@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion._jit import njit
-from companion.estimation import walk as w
+from companion.estimation.output_row import O_ACCEL_BIAS, O_COV, O_GYRO_BIAS, O_LAT, O_Q, O_VEL
 from companion.estimation.tape import F32
 from companion.navigation import layout as lo
 from companion.navigation.earth import ned_difference
@@ -13,7 +13,7 @@ from companion.navigation.error_model import box_plus
 from companion.navigation.rotation import attitude_error_n
 from companion.types import F64, I64, Solution
 
-NOMINAL = w.O_COV
+NOMINAL = O_COV
 """Columns of an output row that a smoother corrects: all before the covariance."""
 
 
@@ -23,33 +23,33 @@ def correct(rows: F64, dx: F64, lay: I64) -> None:
     s = np.zeros(lo.DX)
     for i in range(rows.shape[0]):
         for j in range(3):
-            s[lo.LAT + j] = rows[i, w.O_LAT + j]
-            s[lo.VEL_N + j] = rows[i, w.O_VEL + j]
-            s[lo.ACCEL_BIAS_B + j] = rows[i, w.O_ACCEL_BIAS + j]
-            s[lo.GYRO_BIAS_B + j] = rows[i, w.O_GYRO_BIAS + j]
+            s[lo.LAT + j] = rows[i, O_LAT + j]
+            s[lo.VEL_N + j] = rows[i, O_VEL + j]
+            s[lo.ACCEL_BIAS_B + j] = rows[i, O_ACCEL_BIAS + j]
+            s[lo.GYRO_BIAS_B + j] = rows[i, O_GYRO_BIAS + j]
         for j in range(4):
-            s[lo.Q + j] = rows[i, w.O_Q + j]
+            s[lo.Q + j] = rows[i, O_Q + j]
         box_plus(s, lay, dx[i])
         for j in range(3):
-            rows[i, w.O_LAT + j] = s[lo.LAT + j]
-            rows[i, w.O_VEL + j] = s[lo.VEL_N + j]
-            rows[i, w.O_ACCEL_BIAS + j] = s[lo.ACCEL_BIAS_B + j]
-            rows[i, w.O_GYRO_BIAS + j] = s[lo.GYRO_BIAS_B + j]
+            rows[i, O_LAT + j] = s[lo.LAT + j]
+            rows[i, O_VEL + j] = s[lo.VEL_N + j]
+            rows[i, O_ACCEL_BIAS + j] = s[lo.ACCEL_BIAS_B + j]
+            rows[i, O_GYRO_BIAS + j] = s[lo.GYRO_BIAS_B + j]
         for j in range(4):
-            rows[i, w.O_Q + j] = s[lo.Q + j]
+            rows[i, O_Q + j] = s[lo.Q + j]
 
 
 def from_rows(rows: F64, t_ns: I64, cov: F64, mode: I64, resets: I64) -> Solution:
     """Rows (N, ≥ NOMINAL) as a solution, with columns that are views of them."""
     return Solution(
         t_ns=t_ns,
-        lat=rows[:, w.O_LAT],
-        lon=rows[:, w.O_LAT + 1],
-        height=rows[:, w.O_LAT + 2],
-        vel_n=rows[:, w.O_VEL : w.O_VEL + 3],
-        q_nb=rows[:, w.O_Q : w.O_Q + 4],
-        accel_bias_b=rows[:, w.O_ACCEL_BIAS : w.O_ACCEL_BIAS + 3],
-        gyro_bias_b=rows[:, w.O_GYRO_BIAS : w.O_GYRO_BIAS + 3],
+        lat=rows[:, O_LAT],
+        lon=rows[:, O_LAT + 1],
+        height=rows[:, O_LAT + 2],
+        vel_n=rows[:, O_VEL : O_VEL + 3],
+        q_nb=rows[:, O_Q : O_Q + 4],
+        accel_bias_b=rows[:, O_ACCEL_BIAS : O_ACCEL_BIAS + 3],
+        gyro_bias_b=rows[:, O_GYRO_BIAS : O_GYRO_BIAS + 3],
         cov=cov,
         mode=mode,
         resets=resets,
@@ -76,12 +76,10 @@ def state_rows(nominal: F64) -> F64:
 def apart(rows: F64, origin: F64) -> F64:
     """(N, CORE_STATES) error that leads from ``origin`` to ``rows``, both (N, NOMINAL): ⊟."""
     dx = np.empty((len(rows), lo.CORE_STATES))
-    place, place0 = rows[:, w.O_LAT : w.O_LAT + 3], origin[:, w.O_LAT : w.O_LAT + 3]
+    place, place0 = rows[:, O_LAT : O_LAT + 3], origin[:, O_LAT : O_LAT + 3]
     dx[:, lo.POS : lo.POS + 3] = ned_difference(*place.T, *place0.T)
-    dx[:, lo.ATT : lo.ATT + 3] = attitude_error_n(
-        rows[:, w.O_Q : w.O_Q + 4], origin[:, w.O_Q : w.O_Q + 4]
-    )
-    for at, column, size in ((lo.VEL, w.O_VEL, 3), (lo.ACCEL_BIAS, w.O_ACCEL_BIAS, 6)):
+    dx[:, lo.ATT : lo.ATT + 3] = attitude_error_n(rows[:, O_Q : O_Q + 4], origin[:, O_Q : O_Q + 4])
+    for at, column, size in ((lo.VEL, O_VEL, 3), (lo.ACCEL_BIAS, O_ACCEL_BIAS, 6)):
         part = slice(column, column + size)
         dx[:, at : at + size] = rows[:, part] - origin[:, part]
     return dx

@@ -16,10 +16,10 @@ import numpy as np
 from companion.config import Config
 from companion.estimation import parameters as par
 from companion.estimation.digest import RowDigest
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.phases import Filter, Phase
 from companion.estimation.recording import position
 from companion.estimation.running_tape import RunningTape
-from companion.estimation.walk import ROW_SIZE
 from companion.navigation import layout as lo
 from companion.outlet import solution_of
 from companion.smoothing import intervals as iv

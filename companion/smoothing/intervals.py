@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from companion._jit import njit
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.tape import (
     C_STEP,
     COARSE,
@@ -16,7 +17,6 @@ from companion.estimation.tape import (
     STEP,
     read_time,
 )
-from companion.estimation.walk import ROW_SIZE
 from companion.navigation.layout import L_N
 from companion.smoothing.phi import step_size
 from companion.smoothing.window import BROKEN, copy_row, numbers_of, smooth_window

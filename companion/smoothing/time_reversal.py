@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.estimation import parameters as par
-from companion.estimation import walk as w
+from companion.estimation.aid_table import A_VELOCITY, KIND_GNSS
 from companion.estimation.source_faults import forget
 from companion.estimation.stretch import Block
 from companion.navigation import layout as lo
@@ -57,8 +57,8 @@ def reversed_block(block: Block, mirror: Mirror, following: F64 | None) -> Block
     imu = imu[::-1].copy()
     imu[:, :3] *= -1.0
     aid = block.aid[::-1].copy()
-    fix = block.aid_key[::-1, 0] == w.KIND_GNSS
-    aid[np.ix_(fix, range(w.A_VELOCITY, w.A_VELOCITY + 3))] *= -1.0
+    fix = block.aid_key[::-1, 0] == KIND_GNSS
+    aid[np.ix_(fix, range(A_VELOCITY, A_VELOCITY + 3))] *= -1.0
     return Block(
         np.ascontiguousarray(mirror(block.imu_t)[::-1]),
         imu,

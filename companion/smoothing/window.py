@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from companion._jit import njit
 from companion.estimation.covariance import STRIDE
+from companion.estimation.output_row import O_COV, ROW_SIZE
 from companion.estimation.tape import (
     C_STEP,
     COARSE,
@@ -34,7 +35,6 @@ from companion.estimation.tape import (
     UPDATE,
     read_time,
 )
-from companion.estimation.walk import O_COV, ROW_SIZE
 from companion.navigation.layout import L_N
 from companion.smoothing.composite import (
     LAM,

@@ -16,12 +16,14 @@ import msgspec
 import numpy as np
 
 from companion.config import Baro, Config, EngineConfig, FurtherImu
+from companion.estimation.aid_table import AID_SIZE, KIND_GNSS, KIND_IMU
 from companion.estimation.direct.layout import T_IMU, T_NOW, T_OUTPUT
 from companion.estimation.direct.start import Setup
 from companion.estimation.direct.walk import walk
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.parameters import OUTPUT_NS
 from companion.estimation.update import REPORT_SIZE
-from companion.estimation.walk import AID_SIZE, DONE, KIND_GNSS, KIND_IMU, ROW_SIZE
+from companion.estimation.walk import DONE
 from companion.types import NS
 from tests.benchmarks.common import table
 

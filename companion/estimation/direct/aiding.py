@@ -10,6 +10,21 @@ from companion._jit import njit
 from companion.estimation.adaptation.evidence import reception
 from companion.estimation.adaptation.flac import LARGEST_ACCEL, LARGEST_ATT, LARGEST_GYRO, fade
 from companion.estimation.adaptation.layout import FLAC
+from companion.estimation.aid_table import (
+    A_AZIMUTH,
+    A_INTERFERENCE,
+    A_LET_GO,
+    A_SATELLITES,
+    A_VALUE,
+    A_VAR,
+    A_VAR_VELOCITY,
+    A_VELOCITY,
+    KIND_ATTITUDE,
+    KIND_BARO,
+    KIND_GNSS,
+    KIND_IMU,
+    KIND_RANGE,
+)
 from companion.estimation.direct import aids, ranges
 from companion.estimation.direct.inertial_update import fuse_unit
 from companion.estimation.direct.layout import (
@@ -44,21 +59,6 @@ from companion.estimation.parameters import (
     TIGHT,
 )
 from companion.estimation.receiver_clock import LET_GO_DRIFT_VAR, LET_GO_VAR
-from companion.estimation.walk import (
-    A_AZIMUTH,
-    A_INTERFERENCE,
-    A_LET_GO,
-    A_SATELLITES,
-    A_VALUE,
-    A_VAR,
-    A_VAR_VELOCITY,
-    A_VELOCITY,
-    KIND_ATTITUDE,
-    KIND_BARO,
-    KIND_GNSS,
-    KIND_IMU,
-    KIND_RANGE,
-)
 from companion.gnss.corrected import S_RANGE_VAR, S_RATE, S_RATE_VAR, S_SYSTEM
 from companion.navigation.layout import BIAS, DRIFT
 from companion.navigation.rotation import quat_to_matrix

@@ -19,6 +19,7 @@ from companion.estimation.direct import layout as lo
 from companion.estimation.direct import transitions
 from companion.estimation.direct.start import Setup, align
 from companion.estimation.direct.walk import walk
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.phases import Check, Phase
 from companion.estimation.recording import Tape
 from companion.estimation.stretch import Stretch
@@ -44,7 +45,7 @@ class DirectFilter:
             )
         self.setup = Setup(config)
         self.phases = [Phase(np.iinfo(np.int64).min, Mode.ALIGNING)]
-        self.rows = SampleBuffer(w.ROW_SIZE)
+        self.rows = SampleBuffer(ROW_SIZE)
         self.reports = SampleBuffer(REPORT_SIZE)
         self.events: list[Event] = []
         self.stretches: list[Stretch] = []
@@ -134,7 +135,7 @@ class DirectFilter:
         code, first = w.DONE, self.rows.end
         for index, f in enumerate(phase.filters):
             mine = index == best
-            rows = self.rows if mine else SampleBuffer(w.ROW_SIZE, capacity=n_rows)
+            rows = self.rows if mine else SampleBuffer(ROW_SIZE, capacity=n_rows)
             reports = self.reports if mine else SampleBuffer(REPORT_SIZE, capacity=n_reports)
             rows._room(n_rows)
             reports._room(n_reports)

@@ -21,8 +21,7 @@ from companion.estimation.direct.layout import (
     VEL_N,
     Q,
 )
-from companion.estimation.parameters import BASE_MODE, COASTING_NS
-from companion.estimation.walk import (
+from companion.estimation.output_row import (
     O_ACCEL_BIAS,
     O_COV,
     O_GYRO_BIAS,
@@ -32,6 +31,7 @@ from companion.estimation.walk import (
     O_RESETS,
     O_VEL,
 )
+from companion.estimation.parameters import BASE_MODE, COASTING_NS
 from companion.navigation.rotation import quat_to_matrix
 from companion.types import F64, I64
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.config import DEG, Config
 from companion.estimation import parameters as common
-from companion.estimation import walk as w
+from companion.estimation.aid_table import A_AZIMUTH, KIND_ATTITUDE, KIND_GNSS, KIND_MAG
 from companion.estimation.buffers import SampleBuffer
 from companion.estimation.direct import layout as lo
 from companion.estimation.direct import parameters as par
@@ -80,7 +80,7 @@ def align(
     longest = int(setup.ipar[common.GAP_NS])
     while j < aids.end and aids.t[j] <= last:
         t = int(aids.t[j])
-        if aids.key[j, 0] == w.KIND_GNSS and np.all(np.isfinite(aids.rows[j, :3])):
+        if aids.key[j, 0] == KIND_GNSS and np.all(np.isfinite(aids.rows[j, :3])):
             b = imu.after(t)
             a = imu.after(max(t - round(setup.config.alignment.window_s * NS), phase.start_ns))
             first = imu.after(max(t - longest, phase.start_ns - 1))
@@ -122,7 +122,7 @@ def _begin(
 def _attitude(config: Config, samples: F64, aids: SampleBuffer, j: int) -> _Attitude:
     """Attitude at fix ``j``: another estimator's, or level from ``samples`` and a heading."""
     fix, d = aids.rows[j], config.direct
-    recent = _recent(aids, j, w.KIND_ATTITUDE)
+    recent = _recent(aids, j, KIND_ATTITUDE)
     if recent is not None:
         return _Attitude(
             float(recent[0]),
@@ -139,9 +139,9 @@ def _attitude(config: Config, samples: F64, aids: SampleBuffer, j: int) -> _Atti
         yaw, sd = config.alignment.fixed_heading_deg * DEG, config.mag.sd_deg * DEG
         return _Attitude(roll, pitch, yaw, MOVING_TILT_SD, sd, "configuration")
     if wish == "magnetometer" or (wish == "auto" and config.mag.use):
-        row = _recent(aids, j, w.KIND_MAG)
+        row = _recent(aids, j, KIND_MAG)
         if row is not None:
-            yaw, _ = heading_from_field(roll, pitch, row[:3], float(row[w.A_AZIMUTH]))
+            yaw, _ = heading_from_field(roll, pitch, row[:3], float(row[A_AZIMUTH]))
             # A tilt of 6° turns a steep field by twice that.
             sd = math.hypot(config.mag.sd_deg * DEG, 2.0 * MOVING_TILT_SD)
             return _Attitude(roll, pitch, yaw, MOVING_TILT_SD, sd, "magnetometer")

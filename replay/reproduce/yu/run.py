@@ -20,13 +20,14 @@ from companion.config import (
     Imu,
 )
 from companion.estimation import parameters as common
+from companion.estimation.aid_table import AID_SIZE, KIND_GNSS, KIND_IMU
 from companion.estimation.direct import layout as lo
 from companion.estimation.direct import parameters as par
 from companion.estimation.direct.start import Setup
 from companion.estimation.direct.update import box_plus
 from companion.estimation.direct.walk import walk
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.update import REPORT_SIZE
-from companion.estimation.walk import AID_SIZE, KIND_GNSS, KIND_IMU, ROW_SIZE
 from companion.navigation.earth import ned_difference
 from companion.navigation.rotation import quat_from_rpy, rpy_from_quat
 from companion.types import F64, I64, NS

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from companion.estimation import parameters as common
+from companion.estimation.aid_table import AID_SIZE, KIND_BARO, KIND_GNSS, KIND_IMU
 from companion.estimation.direct import aids, inertial
 from companion.estimation.direct import layout as lo
 from companion.estimation.direct import parameters as par
@@ -18,8 +19,9 @@ from companion.estimation.direct.motion import carry, spread
 from companion.estimation.direct.start import Setup
 from companion.estimation.direct.update import WIDTH, box_plus
 from companion.estimation.direct.walk import walk
+from companion.estimation.output_row import ROW_SIZE
 from companion.estimation.update import REPORT_SIZE
-from companion.estimation.walk import AID_SIZE, DONE, KIND_BARO, KIND_GNSS, KIND_IMU, ROW_SIZE
+from companion.estimation.walk import DONE
 from companion.navigation.rotation import matrix_from_quat, quat_from_rpy
 from companion.types import F64, NS
 
