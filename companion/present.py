@@ -86,6 +86,7 @@ def show_run(console: Console, run: Mapping[str, Any]) -> None:
     _show_sensors(console, run["sensors"])
     _show_start(console, run["start"])
     _show_gates(console, run["gates"])
+    _show_sky(console, run["sky"])
     _show_sources(console, run["sources"])
     _show_events(console, run["events"])
     _show_adaptation(console, run["adaptation"])
@@ -194,8 +195,31 @@ def _show_sources(console: Console, sources: Mapping[str, Mapping[str, Any]]) ->
         )
 
 
+def _show_sky(console: Console, sky: Mapping[str, Any] | None) -> None:
+    if sky is None:
+        return
+    geometry = ""
+    if sky["gdop_median"] is not None:
+        geometry = (
+            f"; GDOP {sky['gdop_median']:.1f}, at worst {sky['gdop_worst']:.1f} "
+            f"(HDOP {sky['hdop_median']:.1f}, VDOP {sky['vdop_median']:.1f})"
+        )
+    few = sky["fewer_than_four"]
+    said = [f"{few} of {sky['epochs']} epochs with fewer than 4"] if few else []
+    said += [f"{sky['excluded']} ranges contradicted the others"] if sky["excluded"] else []
+    said += [f"the set changed {sky['changes']} times"] if sky["changes"] else []
+    console.print(
+        f"Sky       {sky['satellites_least']} to {sky['satellites_most']} satellites in use, "
+        f"{sky['satellites_median']:.0f} in the median{geometry}"
+        + "".join(f"; {one}" for one in said),
+        highlight=False,
+    )
+
+
 def _show_events(console: Console, events: Sequence[Mapping[str, Any]], most: int = 12) -> None:
+    """The first of them; changes of the set of satellites are counted above, by the sky."""
     colour = {"info": "default", "warning": "yellow", "error": "red"}
+    every, events = len(events), [e for e in events if e["kind"] != "satellite-set"]
     for event in events[:most]:
         at = (
             f"{round(event['time_s'], 1) + 0.0:8.1f} s" if event["time_s"] is not None else " " * 10
@@ -204,8 +228,9 @@ def _show_events(console: Console, events: Sequence[Mapping[str, Any]], most: in
             f"[{colour[event['level']]}]{at}  {event['kind']}: {escape(event['text'])}",
             highlight=False,
         )
-    if len(events) > most:
-        console.print(f"           and {len(events) - most} more events; the log has them all")
+    left_out = every - min(len(events), most)
+    if left_out:
+        console.print(f"           and {left_out} more events; the log has them all")
 
 
 def _show_adaptation(

@@ -17,8 +17,10 @@ from companion.logbook import columns, messages, schemas
 from companion.logbook.adaptation import decode_trace
 from companion.logbook.columns import Batch
 from companion.logbook.recovery import Condition, Topic, walk
+from companion.logbook.satellites import decode_satellites
 from companion.proto import run_pb2
 from companion.types import (
+    NO_SATELLITES,
     NS,
     SMOOTHING_GAVE_WAY,
     SMOOTHING_RESUMED,
@@ -29,6 +31,7 @@ from companion.types import (
     Recording,
     ReferenceSamples,
     Samples,
+    Satellites,
     Solution,
     StreamInfo,
     VehicleRecording,
@@ -51,6 +54,7 @@ _OUTPUT_TOPICS = (
     "nav/state",
     "nav/aiding",
     "nav/adaptation",
+    "nav/satellites",
     "nav/settled",
     "nav/smoothed",
     "events",
@@ -81,6 +85,7 @@ class RunResult:
     metadata: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
+    satellites: Satellites = NO_SATELLITES
 
 
 class _Run:
@@ -309,6 +314,7 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
         settled = _settled(found.get("nav/settled", []))
         smoothed = messages.decode_states(found.get("nav/smoothed", []))
         adaptation = decode_trace(found.get("nav/adaptation", []))
+        satellites = decode_satellites(found.get("nav/satellites", []))
     except LogFormatError as error:
         raise LogFormatError(f"{path}: {error}") from None
     events = tuple(e for data in found.get("events", []) if (e := _event(run, data)) is not None)
@@ -328,6 +334,7 @@ def read_solution(path: Path, vehicle: str | None = None) -> RunResult:
         metadata=run.metadata,
         notes=run.all_notes(),
         adaptation=adaptation,
+        satellites=satellites,
     )
 
 

@@ -18,6 +18,7 @@ from companion.estimation.gnss_latency import GnssLatencyEstimator
 from companion.logbook import LogWriter
 from companion.outputs.publisher import Publisher
 from companion.types import (
+    NO_SATELLITES,
     NS,
     AdaptationTrace,
     AidingReports,
@@ -25,6 +26,7 @@ from companion.types import (
     Event,
     Outputs,
     Recording,
+    Satellites,
     Solution,
     VehicleRecording,
 )
@@ -60,6 +62,7 @@ class SessionResult:
     """CPU time of engine and log writing together [s]."""
     wall_s: float
     adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
+    satellites: Satellites = NO_SATELLITES
 
 
 class _Collector:
@@ -77,6 +80,7 @@ class _Collector:
         self.published: list[Solution] = []
         self.reports: list[AidingReports] = []
         self.adaptation: list[AdaptationTrace] = []
+        self.satellites: list[Satellites] = []
         self.events: list[Event] = []
         self._latency = GnssLatencyEstimator(config)
         self._name = vehicle.name
@@ -100,6 +104,8 @@ class _Collector:
             self.reports.append(outputs.reports)
         if len(outputs.adaptation):
             self.adaptation.append(outputs.adaptation)
+        if len(outputs.satellites):
+            self.satellites.append(outputs.satellites)
         self.events.extend(outputs.events)
         if self._writer is not None:
             self._writer.samples(samples, self._name)
@@ -162,6 +168,7 @@ def run_session(
         cpu_s=time.process_time() - cpu,
         wall_s=time.monotonic() - wall,
         adaptation=AdaptationTrace.concatenate(collector.adaptation),
+        satellites=Satellites.concatenate(collector.satellites),
     )
 
 

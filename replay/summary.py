@@ -10,18 +10,22 @@ import msgspec
 import numpy as np
 
 from companion.types import (
+    NO_SATELLITES,
     NS,
     AdaptationTrace,
     AidingReports,
     Channel,
     Event,
     Mode,
+    Satellites,
     Solution,
     VehicleRecording,
     Verdict,
 )
 from replay.adaptation_story import Episode, episodes
 from replay.integrity import Source, sources
+from replay.sky import Sky
+from replay.sky import sky as sky_of
 
 _MOVING_MPS = 0.3
 """Slower is taken for standing: the noise of a parked vehicle must not add up to kilometres."""
@@ -89,6 +93,8 @@ class Summary(msgspec.Struct, frozen=True):
     """What the receiver's position and height were held to, by those names."""
     adaptation: list[Episode]
     """What the adaptation scaled, when and why."""
+    sky: Sky | None
+    """None without raw GNSS."""
 
 
 def summarise(
@@ -97,6 +103,7 @@ def summarise(
     reports: AidingReports,
     events: Sequence[Event],
     adaptation: AdaptationTrace | None = None,
+    satellites: Satellites = NO_SATELLITES,
 ) -> Summary:
     """Count and measure one vehicle's run; an empty solution gives zeros and None."""
     origin = int(solution.t_ns[0]) if len(solution) else 0
@@ -120,6 +127,7 @@ def summarise(
             for e in events
         ],
         adaptation=[] if adaptation is None else episodes(adaptation, origin),
+        sky=sky_of(satellites, events),
     )
 
 

@@ -210,7 +210,12 @@ def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any
     from replay.summary import summarise
 
     summary = summarise(
-        result.vehicle, result.solution, result.reports, result.events, result.adaptation
+        result.vehicle,
+        result.solution,
+        result.reports,
+        result.events,
+        result.adaptation,
+        result.satellites,
     )
     accuracy, why_none = None, None
     try:

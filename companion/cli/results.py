@@ -135,6 +135,7 @@ def report_run(
         notes=solved.notes,
         digest=solved.digest,
         adaptation=solved.adaptation,
+        satellites=solved.satellites,
     )
     path = output if output is not None else out_path(None, [run], "report").with_suffix(".html")
     judgement = write_report(view, path)

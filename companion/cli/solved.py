@@ -11,7 +11,15 @@ from rich.markup import escape
 from companion import present
 from companion.cli.commands import LOADING, SolutionKind, read, read_recording
 from companion.config import Config
-from companion.types import AdaptationTrace, AidingReports, Event, Solution, VehicleRecording
+from companion.types import (
+    NO_SATELLITES,
+    AdaptationTrace,
+    AidingReports,
+    Event,
+    Satellites,
+    Solution,
+    VehicleRecording,
+)
 from replay.window import Window, read_windows
 
 
@@ -30,6 +38,7 @@ class Solved:
     events: tuple[Event, ...] = ()
     notes: tuple[str, ...] = ()
     adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
+    satellites: Satellites = NO_SATELLITES
 
 
 def solve(
@@ -84,6 +93,7 @@ def _solve_forward(
                 stored.events,
                 recording.notes,
                 stored.adaptation,
+                stored.satellites,
             )
     from replay.preparation import navigable
 
@@ -108,4 +118,5 @@ def _solve_forward(
         events=result.events,
         notes=recording.notes,
         adaptation=result.adaptation,
+        satellites=result.satellites,
     )

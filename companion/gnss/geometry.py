@@ -9,9 +9,8 @@ import numpy as np
 from companion._jit import njit
 from companion.navigation.earth import E2, A, B
 from companion.types import F64, I64
+from companion.types import NO_DOP as NO_DOP
 
-NO_DOP = 1e3
-"""Dilution of a set that does not fix the unknowns."""
 GDOP, PDOP, HDOP, VDOP, TDOP = range(5)
 
 

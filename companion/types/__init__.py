@@ -37,6 +37,7 @@ from companion.types.health import (
     SensorState,
 )
 from companion.types.outputs import (
+    NO_DOP,
     NO_SATELLITES,
     NO_SMOOTHED,
     SMOOTHING_GAVE_WAY,
@@ -90,6 +91,7 @@ __all__ = [
     "COV_VEL",
     "F64",
     "I64",
+    "NO_DOP",
     "NO_SATELLITES",
     "NO_SMOOTHED",
     "NS",

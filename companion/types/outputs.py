@@ -29,6 +29,10 @@ class Event:
     level: Literal["info", "warning", "error"] = "info"
 
 
+NO_DOP = 1e3
+"""Dilution of a set of satellites that does not fix the unknowns."""
+
+
 @dataclass(frozen=True, slots=True)
 class Satellites(Rows):
     """The satellites that epochs of raw measurements were fused of, as columns."""
@@ -38,7 +42,7 @@ class Satellites(Rows):
     excluded: I64
     """(N,) whose range contradicted the others."""
     dop: F64
-    """(N, 5) GDOP, PDOP, HDOP, VDOP, TDOP of those in use; 1000 where there are too few."""
+    """(N, 5) GDOP, PDOP, HDOP, VDOP, TDOP of those in use; :data:`NO_DOP` without."""
 
     @classmethod
     def empty(cls) -> Self:

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from companion.types import NS
+from companion.types import NO_DOP, NS
 from companion.watch.alarms import alarms
 from companion.watch.picture import SENSOR_KINDS, VehiclePicture
 
@@ -43,6 +43,7 @@ def picture_json(v: VehiclePicture, now_ns: int) -> dict[str, Any]:
             }
             for channel, adapted in sorted(v.adaptation.items())
         },
+        "satellites": _satellites(v, now_ns) if v.satellites is not None else None,
         "alarms": alarms(v, now_ns),
         "events": list(v.events),
         "unreadable": v.broken,
@@ -65,4 +66,15 @@ def _state(v: VehiclePicture) -> dict[str, Any]:
         "sd_pos_m": list(s.sd_pos_m),
         "sd_vel_mps": list(s.sd_vel_mps),
         "sd_att_deg": list(s.sd_att_deg),
+    }
+
+
+def _satellites(v: VehiclePicture, now_ns: int) -> dict[str, Any]:
+    sky = v.satellites
+    dops = {name: getattr(sky, name) for name in ("gdop", "pdop", "hdop", "vdop", "tdop")}
+    return {
+        "used": sky.used,
+        "excluded": sky.excluded,
+        **{name: dop if dop < NO_DOP else None for name, dop in dops.items()},
+        "age_s": (now_ns - v.satellites_ns) / NS,
     }

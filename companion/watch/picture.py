@@ -128,6 +128,9 @@ class VehiclePicture:
     health_ns: int = 0
     gates: dict[Channel, Gate] = field(default_factory=dict)
     adaptation: dict[Channel, Adapted] = field(default_factory=dict)
+    satellites: Any = None
+    """Latest ``Satellites`` message; None without raw GNSS."""
+    satellites_ns: int = 0
     events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENTS))
     broken: int = 0
     """Messages that could not be decoded: another version, or a stranger on these keys."""
@@ -166,6 +169,9 @@ class VehiclePicture:
                 last_ns=now_ns,
             )
             self.adaptation[Channel(trace.channel)] = adapted
+        elif name == payloads.SATELLITES:
+            self.satellites = navigation_pb2.Satellites.FromString(payload)
+            self.satellites_ns = now_ns
         elif name == payloads.HEALTH:
             self.health, self.health_ns = decode_health(payload), now_ns
         elif name == payloads.EVENTS:

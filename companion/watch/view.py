@@ -14,10 +14,12 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from companion.types import NS, Health, Verdict
+from companion.types import NO_DOP, NS, Health, Verdict
 from companion.watch.alarms import WIDE_MS
 from companion.watch.picture import Fleet, VehiclePicture
 
+OLD_S = 3.0
+"""Satellites of longer ago are of another time: receivers measure once a second and more."""
 _STANDING = {"navigating": "bold green", "heading unknown": "bold yellow",
              "aligning": "bold yellow", "coasting": "bold red", "silent": "bold red",
              "gone": "bold red", "waiting": "bold yellow"}  # fmt: skip
@@ -51,6 +53,8 @@ def vehicle_view(v: VehiclePicture, now_ns: int, last: int = 8) -> Group:
         parts += [_sensors(v.health), _process(v.health)]
     if v.gates:
         parts.append(_gates(v, now_ns))
+    if v.satellites is not None:
+        parts.append(_sky(v, now_ns))
     if v.events:
         parts.append(_events(v, last))
     if v.broken:
@@ -202,6 +206,21 @@ def _gates(v: VehiclePicture, now_ns: int) -> Table:
             Text(word, style.get(latest, "yellow")),
         )
     return table
+
+
+def _sky(v: VehiclePicture, now_ns: int) -> Text:
+    """Satellites of the latest epoch of raw GNSS, and their geometry."""
+    sky, age_s = v.satellites, (now_ns - v.satellites_ns) / NS
+    line = Text.assemble(
+        ("Sky    ", "bold"),
+        (f"{sky.used} satellites", "red" if not sky.used else "yellow" if sky.used < 4 else ""),
+        f", {sky.excluded} contradicting them" if sky.excluded else "",
+    )
+    if sky.gdop < NO_DOP:
+        line.append(f", GDOP {sky.gdop:.1f}, HDOP {sky.hdop:.1f}, VDOP {sky.vdop:.1f}")
+    if age_s > OLD_S:
+        line.append(f", {age_s:.0f} s ago", "red")
+    return line
 
 
 def _events(v: VehiclePicture, last: int) -> Table:

@@ -75,6 +75,7 @@ def work_on(
             notes=recording.notes,
             digest=run.digest,
             adaptation=run.adaptation,
+            satellites=run.satellites,
         )
         try:
             judgement = write_report(view, Path(out) / REPORTS / page)

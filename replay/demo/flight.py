@@ -275,6 +275,7 @@ def _report(
         smoothed=track,
         digest=stored.digest,
         adaptation=stored.adaptation,
+        satellites=stored.satellites,
     )
     judgement = write_report(view, files.report)
     return {"verdict": judgement.level, "headline": judgement.headline}

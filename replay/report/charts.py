@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from companion.gnss.systems import SYSTEM_NAMES
 from companion.types import F64, I64, Channel
 from replay.report.run_view import RunView
 from replay.report.series import Spans, pack
@@ -85,6 +86,9 @@ class Table:
         return Tabled(pack(self._spans.times()), tuple(lines))
 
 
+_NAMES = {"GNSS": "GNSS"} | {name.upper(): name for name in SYSTEM_NAMES}
+
+
 def spoken(channel: Channel) -> str:
     """The channel's name for people: ``GNSS velocity``, ``GNSS vertical velocity``, ``baro``."""
     if channel in (Channel.SOURCE_H, Channel.SOURCE_V):
@@ -94,4 +98,4 @@ def spoken(channel: Channel) -> str:
     if words[-1] == "V":
         words.insert(1, "vertical")
     kept = [w for w in words if w not in ("H", "V")]
-    return " ".join(w if w == "GNSS" else w.lower() for w in kept)
+    return " ".join(_NAMES.get(w, w.lower()) for w in kept)

@@ -17,6 +17,7 @@ from companion.types import (
     F64,
     I64,
     NS,
+    AidingReports,
     Channel,
     Mode,
     Samples,
@@ -27,6 +28,7 @@ from replay.export import euler_sd
 from replay.report.adaptation import adaptation
 from replay.report.charts import Chart, Panel, Table, Tabled, spoken
 from replay.report.run_view import STOPPED, RunView
+from replay.report.satellites import satellites
 
 AXES = (("north", "N"), ("east", "E"), ("down", "D"))
 ANGLES = ("roll", "pitch", "yaw")
@@ -34,7 +36,10 @@ ANGLES = ("roll", "pitch", "yaw")
 
 def panels(run: RunView) -> list[Panel]:
     """Every panel that the run has something for, in the order of the page."""
-    makers = (_height, _velocity, _attitude, _errors, _innovations, adaptation, _biases, _rates)
+    makers = (
+        _height, _velocity, _attitude, _errors, _innovations, satellites, adaptation, _biases,
+        _rates,
+    )  # fmt: skip
     return [panel for make in makers if (panel := make(run)) is not None and panel.charts]
 
 
@@ -176,6 +181,18 @@ def _sd(solution: Solution, row: int, axis: int) -> F64:
     return solution.sd[:, row, axis]
 
 
+_WHO = ("worst satellite of each epoch",)
+_WIDE = 10.0
+"""Gates this many times as wide as usual are those of a clock that is just being found."""
+_RANGES: dict[Channel, tuple[str, Sequence[str]]] = {
+    Channel.RANGE_GPS: ("m", _WHO),
+    Channel.RANGE_GALILEO: ("m", _WHO),
+    Channel.RANGE_BEIDOU: ("m", _WHO),
+    Channel.RATE_GPS: ("m/s", _WHO),
+    Channel.RATE_GALILEO: ("m/s", _WHO),
+    Channel.RATE_BEIDOU: ("m/s", _WHO),
+}
+"""Channels with several measurements, one a satellite, at one time."""
 _UNITS: dict[Channel, tuple[str, Sequence[str]]] = {
     Channel.GNSS_POSITION_H: ("m", ("north", "east")),
     Channel.GNSS_POSITION_V: ("m", ("down",)),
@@ -184,6 +201,7 @@ _UNITS: dict[Channel, tuple[str, Sequence[str]]] = {
     Channel.BARO: ("m", ("height",)),
     Channel.SOURCE_H: ("m", ("north", "east")),
     Channel.SOURCE_V: ("m", ("down",)),
+    **_RANGES,
 }
 
 
@@ -196,6 +214,8 @@ def _innovations(run: RunView) -> Panel | None:
             continue
         rows = np.flatnonzero(used)
         rows = rows[np.argsort(reports.t_ns[rows], kind="stable")]
+        if channel in _RANGES:
+            rows = _worst(reports, rows)
         unit, names = _UNITS.get(channel, ("", ("x", "y", "z")))
         gate = np.sqrt(reports.gate[rows])
         for axis in range(int(reports.dof[rows].max())):
@@ -214,8 +234,11 @@ def _innovations(run: RunView) -> Panel | None:
                 # On an axis of their own: a refusal is never lost among what was accepted.
                 apart = Table(reports.t_ns[rows[refused]], run)
                 tables.append(apart.of([apart.line("refused", "refused", y[refused], "dots")]))
-            # Every innovation is inside; a gate that an outage opened wide is not.
-            limit = 1.3 * max(float(np.nanmax(np.abs(y))), float(np.nanmedian(half)))
+            # Every innovation is inside; a gate that an outage opened wide is not, nor is what a
+            # clock that nobody knows yet makes of a range.
+            usual = float(np.nanmedian(half))
+            known = np.abs(y[half < _WIDE * usual]) if channel in _RANGES else np.abs(y)
+            limit = 1.3 * max(float(np.nanmax(known, initial=0.0)), usual)
             title = f"{spoken(channel)}, {_axis(names, axis)}"
             charts.append(Chart(title, unit, tuple(tables), limit))
     note = (
@@ -223,6 +246,15 @@ def _innovations(run: RunView) -> Panel | None:
         "of two or three axes is refused as one."
     )
     return Panel("innovations", "Innovations", note, tuple(charts))
+
+
+def _worst(reports: AidingReports, rows: I64) -> I64:
+    """Of ``rows`` in order of time, the satellite of each epoch that is nearest to its gate."""
+    over = reports.nis[rows] / reports.gate[rows]
+    order = np.lexsort((over, reports.t_ns[rows]))
+    t_ns = reports.t_ns[rows[order]]
+    worst: I64 = rows[order[np.append(np.diff(t_ns) > 0, True)]]
+    return worst
 
 
 def _axis(names: Sequence[str], axis: int) -> str:
@@ -256,6 +288,7 @@ def _rates(run: RunView) -> Panel | None:
     kinds: list[tuple[str, tuple[Samples, ...]]] = [
         ("imu", run.vehicle.imu),
         ("gnss", run.vehicle.gnss),
+        ("raw gnss", run.vehicle.raw),
         ("baro", run.vehicle.baro),
         ("mag", run.vehicle.mag),
     ]

@@ -8,6 +8,7 @@ import numpy as np
 
 from companion.config import Config
 from companion.types import (
+    NO_SATELLITES,
     NS,
     AdaptationTrace,
     AidingReports,
@@ -15,6 +16,7 @@ from companion.types import (
     Event,
     Mode,
     ReferenceSamples,
+    Satellites,
     Solution,
     VehicleRecording,
     Verdict,
@@ -60,6 +62,7 @@ class RunView:
     notes: tuple[str, ...] = ()
     digest: str | None = None
     adaptation: AdaptationTrace = field(default_factory=AdaptationTrace.empty)
+    satellites: Satellites = NO_SATELLITES
 
     @property
     def origin_ns(self) -> int:

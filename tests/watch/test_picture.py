@@ -11,9 +11,10 @@ from rich.console import Console
 
 from companion.logbook import messages
 from companion.logbook.health import encode_health
+from companion.logbook.satellites import encode_satellites
 from companion.outputs import payloads
 from companion.outputs.subscriber import Heard
-from companion.types import NS, Channel, Event, Mode, Verdict
+from companion.types import NO_DOP, NS, Channel, Event, Mode, Satellites, Verdict
 from companion.watch.as_json import picture_json
 from companion.watch.picture import Fleet, VehiclePicture
 from companion.watch.view import fleet_view
@@ -174,3 +175,22 @@ def test_json_is_plain_and_in_degrees() -> None:
     waiting = picture_json(VehiclePicture("v2"), SECOND)
     assert waiting["state"] is None
     assert waiting["state_age_s"] is None
+
+
+def test_satellites_are_shown_with_their_geometry_until_they_are_of_long_ago() -> None:
+    fleet, vehicle = flying()
+    assert picture_json(vehicle, SECOND)["satellites"] is None
+    assert "Sky" not in text_of(fleet, SECOND + 2 * NS)
+    one = np.array([1], np.int64)
+    dop = np.array([[2.25, 2.0, 1.0, 1.75, 1.0]])
+    for used, dops, shown in (
+        (16, dop, "16 satellites, 1 contradicting them, GDOP 2.2, HDOP 1.0, VDOP 1.8"),
+        (2, np.full((1, 5), NO_DOP), "2 satellites, 1 contradicting them\n"),
+    ):
+        row = encode_satellites(Satellites(T0 * one, used * one, one, dops))[0].tobytes()
+        fleet.update(Heard("v1", payloads.SATELLITES, row), SECOND + 2 * NS)
+        text = "\n".join(line.rstrip() for line in text_of(fleet, SECOND + 3 * NS).splitlines())
+        assert f"Sky    {shown}" in text + "\n"
+    told = picture_json(vehicle, SECOND + 12 * NS)["satellites"]
+    assert (told["used"], told["excluded"], told["gdop"], told["age_s"]) == (2, 1, None, 10.0)
+    assert "10 s ago" in text_of(fleet, SECOND + 12 * NS)

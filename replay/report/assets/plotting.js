@@ -4,6 +4,7 @@
 const COLOURS = {
   forward: "#1565c0", smoothed: "#7b1fa2", autopilot: "#ef8f00", truth: "#2e7d32",
   gnss: "#78909c", refused: "#d32f2f", innovation: "#1565c0", gate: "#1565c0",
+  GDOP: "#37474f", HDOP: "#00838f", VDOP: "#c2185b",
 };
 const OTHERS = ["#00838f", "#6d4c41", "#c2185b", "#558b2f", "#4527a0", "#ef8f00", "#37474f"];
 const MODES = {

@@ -1,0 +1,61 @@
+"""What a run with raw GNSS tells of its sky: in the summary, from its log, and on the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from companion.types import Channel, Recording
+from replay.configuration import ChosenConfig
+from replay.report.panels import panels
+from replay.report.run_view import RunView
+from replay.run_log import read_solution
+from replay.session import run_log, run_session
+from replay.sky import sky
+from replay.summary import summarise
+
+from . import flights
+
+
+def test_a_run_tells_how_many_satellites_and_how_well_they_stood(tmp_path: Path) -> None:
+    # Two satellites left for the last of three parts, in blocks that end somewhere else.
+    vehicle = flights.withheld(flights.flight().recording, 80.0, 200.0, 2)
+    chosen = ChosenConfig(flights.config(), "test", "")
+    path = tmp_path / "run.mcap"
+    with run_log(path, Recording("flight", "test", (vehicle,)), chosen) as log:
+        run = run_session(vehicle, chosen, writer=log)
+    told = summarise(vehicle, run.solution, run.reports, run.events, None, run.satellites).sky
+    assert told is not None
+    t = flights.seconds(vehicle)
+    few = int(np.count_nonzero(t >= 80.0))
+    assert told.epochs == len(t)
+    assert told.fewer_than_four == few
+    assert told.satellites_least == 2
+    assert 6 <= told.satellites_median <= told.satellites_most <= 20
+    assert told.gdop_median is not None
+    assert told.gdop_worst is not None
+    assert 1.0 < told.gdop_median <= told.gdop_worst < 10.0
+    stored = read_solution(path)
+    again = sky(stored.satellites, stored.events)
+    assert again is not None
+    assert again.epochs == told.epochs
+    assert abs((again.gdop_worst or 0.0) - told.gdop_worst) < 1e-5  # single precision in the log
+    assert sky(stored.satellites.take(slice(0, 0)), stored.events) is None
+
+    view = RunView(
+        "test", vehicle, chosen.config, stored.solution, stored.reports, stored.events,
+        satellites=stored.satellites,
+    )  # fmt: skip
+    drawn = {panel.id: panel for panel in panels(view)}
+    assert [chart.title for chart in drawn["satellites"].charts] == [
+        "Satellites", "Dilution of precision",
+    ]  # fmt: skip
+    titles = [chart.title for chart in drawn["innovations"].charts]
+    assert "range GPS, worst satellite of each epoch" in titles
+    ranges = next(c for c in drawn["innovations"].charts if c.title.startswith("range GPS"))
+    # One row an epoch and a scale of ranges, not of a clock that is being found.
+    mine = (stored.reports.channel == Channel.RANGE_GPS) & (stored.reports.dof > 0)
+    assert np.count_nonzero(mine) > 3 * len(np.unique(stored.reports.t_ns[mine]))
+    assert ranges.limit is not None
+    assert ranges.limit < 60.0
