@@ -54,6 +54,9 @@ class RawGnss(Section):
     """A set is kept until another's GDOP is smaller by more than this part of it."""
     exclude: bool = True
     """Leave out satellites whose range contradicts the others, epoch by epoch."""
+    clock_noise: Literal["learned", "configured"] = "learned"
+    """Noise of the receiver's clock: ``learned`` from each epoch's own clock once half a minute of
+    it was seen, from 0.01 to 10 times what is configured; or as ``configured`` throughout."""
     clock_walk_m_rts: float = 0.1
     """Receiver clock: random walk of its bias [m/√s]."""
     clock_drift_walk_mps_rts: float = 0.2

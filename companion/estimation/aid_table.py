@@ -11,4 +11,5 @@ A_AZIMUTH = 3
 A_SATELLITES = 12  # NaN: unknown
 A_LET_GO = 13  # 1: the receiver's clock jumped in front of this epoch, nobody knows how far
 A_INTERFERENCE = 14  # 0 to 1; NaN: unknown
-AID_SIZE = 15
+A_CLOCK_SCALE = 15  # (3) factors on the noise of the receiver's clock from this epoch on
+AID_SIZE = 18

@@ -8,7 +8,8 @@ Groves 2013, section 9.4.2 (clock states of GNSS/INS integration); the ramp is a
 temperature changes: after switching on, its drift moves steadily for minutes, 5 m/s in 30 s on a
 receiver carried by hand, which the random walk of a drift explains to one. Nothing else moves these
 states, and they move nothing else, so the step stands beside that of the strapdown error. T is a
-covariance interval, so the noise of the ramp may enter the drift a step later.
+covariance interval, so the noise of the ramp may enter the drift a step later. All three noises are
+scaled by what was learned of the clock (:mod:`companion.gnss.clock_noise`).
 
 A clock that jumped by who knows what is *let go*: its variance grows, its estimate stays. As noise
 of one interval, so that a smoother reads it off the tape with the rest.
@@ -29,6 +30,7 @@ from companion.estimation.parameters import (
 from companion.navigation.layout import (
     BIAS,
     CLOCK,
+    CLOCK_SCALE,
     DRIFT,
     DX,
     L_CLOCK,
@@ -60,27 +62,35 @@ def carry_clock_back(T: float, x: F64) -> None:
     x[DRIFT] += T * x[BIAS]
 
 
-@njit("f8(f8, f8[::1])", cache=True, counted=False)
-def clock_cross_noise(T: float, par: F64) -> float:
+@njit("f8(f8, f8, f8[::1])", cache=True, counted=False)
+def clock_cross_noise(T: float, drift_scale: float, par: F64) -> float:
     """Covariance that bias and drift gain over ``T`` [s]."""
-    return float(0.5 * par[CLOCK_DRIFT_PSD] * T * T)
+    return float(0.5 * drift_scale * par[CLOCK_DRIFT_PSD] * T * T)
 
 
-@njit("void(f8, f8, f8[::1], f8, f8[::1])", cache=True, counted=False)
-def clock_noise(T: float, let_go: float, par: F64, ramp_decay: float, q: F64) -> None:
-    """``q`` (CLOCK_STATES,): variances that the states gain over ``T`` [s]."""
-    q[BIAS] = par[CLOCK_PSD] * T + par[CLOCK_DRIFT_PSD] * T * T * T / 3.0 + let_go * LET_GO_VAR
-    q[DRIFT] = par[CLOCK_DRIFT_PSD] * T + let_go * LET_GO_DRIFT_VAR
-    q[RAMP] = par[CLOCK_RAMP_VAR] * (1.0 - ramp_decay * ramp_decay)
+@njit("void(f8, f8, f8, f8, f8, f8[::1], f8, f8[::1])", cache=True, counted=False)
+def clock_noise(
+    T: float, let_go: float, bias_scale: float, drift_scale: float, ramp_scale: float, par: F64,
+    ramp_decay: float, q: F64,
+) -> None:  # fmt: skip
+    """``q`` (CLOCK_STATES,): variances that the states gain over ``T`` [s].
+
+    The scales are factors on the configured noises.
+    """
+    drift = drift_scale * par[CLOCK_DRIFT_PSD]
+    q[BIAS] = bias_scale * par[CLOCK_PSD] * T + drift * T * T * T / 3.0 + let_go * LET_GO_VAR
+    q[DRIFT] = drift * T + let_go * LET_GO_DRIFT_VAR
+    q[RAMP] = ramp_scale * par[CLOCK_RAMP_VAR] * (1.0 - ramp_decay * ramp_decay)
     for i in range(SYSTEM, SYSTEM + 2):
         q[i] = par[SYSTEM_BIAS_PSD] * T
 
 
-@njit("void(f8[:, ::1], i8, f8, f8, f8[::1], f8[::1])", cache=True, counted=False)
-def spread_clock(P: F64, b: int, T: float, let_go: float, par: F64, q: F64) -> None:
+@njit("void(f8[:, ::1], i8, f8, f8, f8[::1], f8[::1], f8[::1])", cache=True, counted=False)
+def spread_clock(P: F64, b: int, T: float, let_go: float, scale: F64, par: F64, q: F64) -> None:
     """P ← Φ P Φᵀ + Q of the clock's states, which begin at ``b``, over ``T`` [s].
 
-    ``let_go``: how often the clock was let go meanwhile; ``q`` (≥ CLOCK_STATES,) is scratch.
+    ``let_go``: how often the clock was let go meanwhile; ``scale`` (3,): factors on the configured
+    noises of bias, drift and ramp; ``q`` (≥ CLOCK_STATES,) is scratch.
     """
     n = P.shape[0]
     decay = math.exp(-T / par[CLOCK_RAMP_TAU])
@@ -97,10 +107,10 @@ def spread_clock(P: F64, b: int, T: float, let_go: float, par: F64, q: F64) -> N
     for i in range(RAMP + 1):
         for j in range(i):
             P[b + i, b + j] = P[b + j, b + i]
-    clock_noise(T, let_go, par, decay, q)
+    clock_noise(T, let_go, scale[0], scale[1], scale[2], par, decay, q)
     for i in range(RAMP + 1):
         P[b + i, b + i] += q[i]
-    cross = clock_cross_noise(T, par)
+    cross = clock_cross_noise(T, scale[1], par)
     P[b, b + DRIFT] += cross
     P[b + DRIFT, b] += cross
 
@@ -116,4 +126,4 @@ def step_clock(s: F64, lay: I64, par: F64, T: float, q: F64) -> None:
     decay = math.exp(-T / par[CLOCK_RAMP_TAU])
     carry_clock(T, decay, s[CLOCK:])
     carry_clock(T, decay, s[DX + b :])
-    spread_clock(P, b, T, s[SUM_XC], par, q)
+    spread_clock(P, b, T, s[SUM_XC], s[CLOCK_SCALE : CLOCK_SCALE + 3], par, q)

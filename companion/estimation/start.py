@@ -211,7 +211,7 @@ def _initial(
     s[lo.VEL_N : lo.VEL_N + 3] = np.where(np.isfinite(fix[3:6]), fix[3:6], 0.0)
     s[lo.LEVER_B : lo.LEVER_B + 3] = setup.config.gnss.lever_arm_b_m
     s[lo.ACCEL_BIAS_B : lo.ACCEL_BIAS_B + 3] = known.accel_b
-    s[lo.R_SCALE : lo.RECEPTION] = s[lo.R_LEAST] = 1.0
+    s[lo.R_SCALE : lo.RECEPTION] = s[lo.R_LEAST : lo.WINDOWS] = 1.0
     s[lo.EARTH_RATE] = RATE
     if phase.prior is not None:
         for source, size in ((lo.BARO_BIAS, 1), (lo.STILL_LEARNED, 7)):

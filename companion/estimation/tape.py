@@ -8,7 +8,8 @@ so the tape reads in both directions.
 kind        fine                                       coarse
 ==========  =========================================  ==================================
 STEP        T and the sums behind Φ of one covariance  velocity, latitude, height, noise,
-            interval                                   factor on the biases' noise, clock let go
+            interval                                   factor on the biases' noise, clock let go,
+                                                       factors on its noise
 TURN        correction of φ (3)                        –
 FADE        α² that P was multiplied by                –
 ROW         –                                          upper triangle of P, where nothing but
@@ -17,7 +18,7 @@ UPDATE + m  1/√S, y, which m of H are not zero, P Hᵀ   –
             /√S (n), those of H (m)
 ==========  =========================================  ==================================
 
-At 50 Hz the steps are 28 MB an hour; a scalar update takes about 180 bytes with sixteen states.
+At 50 Hz the steps are 30 MB an hour; a scalar update takes about 180 bytes with sixteen states.
 
 A tape for smoothing on line is read while it is written, goes back with the filter, and is soon
 forgotten. So its rows hold all that they stand for, and it says where an update interval ends:
@@ -38,6 +39,7 @@ from companion._jit import njit
 from companion.estimation.process_noise import attitude_noise, bias_noise, velocity_noise
 from companion.navigation.layout import (
     ATT,
+    CLOCK_SCALE,
     HEIGHT,
     L_ACCEL_SCALE,
     L_N,
@@ -59,7 +61,7 @@ FIX, PLAIN_ROW, FULL_ROW = -1, -2, -3
 
 # --- columns of a step in `coarse`
 C_VEL, C_LAT, C_HEIGHT, C_NOISE_V, C_NOISE_A, C_NOISE_B = 0, 3, 4, 5, 6, 12
-C_LET_GO, C_STEP = 13, 14
+C_LET_GO, C_CLOCK, C_STEP = 13, 14, 17
 # --- and in `fine`: T, ∫f (3), ∫∫f (3), ∫C (9), with scale states ∫C diag(f) (9), ∫C diag(ω) (9)
 F_STEP, F_STEP_WITH_SCALE = 16, 34
 # --- columns of an update in `fine`; H behind the gain
@@ -104,6 +106,8 @@ def record_step(tape: Recorder, s: F64, lay: I64, par: F64) -> None:
         c[C_NOISE_A + i] = q[i]
     c[C_NOISE_B] = bias_noise(s)
     c[C_LET_GO] = s[SUM_XC]
+    for i in range(3):
+        c[C_CLOCK + i] = s[CLOCK_SCALE + i]
     size = F_STEP_WITH_SCALE if lay[L_ACCEL_SCALE] >= 0 else F_STEP
     for i in range(size):
         fine[at[FINE] + i] = s[SUM_T + i]

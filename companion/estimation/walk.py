@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion._jit import njit
-from companion.estimation.aid_table import A_LET_GO, KIND_RANGE
+from companion.estimation.aid_table import A_CLOCK_SCALE, A_LET_GO, KIND_RANGE
 from companion.estimation.aiding import fuse_aid, fuse_constraints
 from companion.estimation.covariance import STRIDE, propagate
 from companion.estimation.output_row import write_row
@@ -36,6 +36,7 @@ from companion.estimation.source_faults import undecided
 from companion.estimation.tape import RECORDER, Recorder, record_row, record_step
 from companion.measurements.standstill import observe
 from companion.navigation.layout import (
+    CLOCK_SCALE,
     DX,
     HAVE_IMU,
     L_ACCEL_SCALE,
@@ -205,6 +206,8 @@ def _walk(
             # Ranges are the last kind at their time.
             while j < at[3] and aid_t[j] == aid_t[first]:
                 j += 1
+            for c in range(3):
+                s[CLOCK_SCALE + c] = aid[first, A_CLOCK_SCALE + c]
             # Filters that compete on their heading take the fixes made of the ranges.
             if ipar[BANK] == 0:
                 n_reports = fuse_epoch(

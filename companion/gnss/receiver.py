@@ -16,6 +16,7 @@ import numpy as np
 
 from companion.config import DEG, RawGnss
 from companion.gnss.broadcast import Ephemerides
+from companion.gnss.clock_noise import SCALE, interrupt, learn_clock, new_learner
 from companion.gnss.clock_steps import ClockSteps
 from companion.gnss.corrected import (
     NOISE_SIZE,
@@ -92,6 +93,8 @@ class Prepared:
     events: tuple[Event, ...]
     factors: F64
     """(SYSTEMS,) on the variances of its ranges, by how far their systems are trusted."""
+    clock_scale: F64
+    """(3,) on the noise of the receiver's clock, as learned up to it: bias, drift, ramp."""
     let_go: bool = False
     """The receiver's clock jumped in front of it, by more than this epoch can tell."""
 
@@ -130,6 +133,8 @@ class Receiver:
         self._trust = trust
         self.ephemerides = Ephemerides()
         self.clock = ClockSteps()
+        self._learner = new_learner(config)
+        self._clock_system = 0
         self.unsolved = 0
         """Epochs of four satellites and more whose ranges fit no place."""
         self._place = np.zeros(3)
@@ -212,6 +217,8 @@ class Receiver:
         jumps = self.clock.jumps
         offset = self._offset(now, rows, point if solved else None)
         let_go = self.clock.jumps > jumps
+        if self.config.clock_noise == "learned" and (solved or let_go):
+            self._learn_clock(now, point if solved else None, offset, let_go)
         if self.config.exclude and code != TOO_FEW and not (solved and used.all()):
             keep = np.zeros(len(rows), np.bool_)
             if solved:
@@ -233,7 +240,10 @@ class Receiver:
             events = (Event(t_ns, "receiver-clock", text), *events)
         at = point if solved else None
         factors = _ONES if self._trust is None else self._trust.factors[0].copy()
-        return Prepared(t_ns, rows, sky, at, dop, excluded, without, events, factors, let_go)
+        scale = self._learner[SCALE : SCALE + 3].copy()
+        return Prepared(
+            t_ns, rows, sky, at, dop, excluded, without, events, factors, scale, let_go
+        )  # fmt: skip
 
     def _troubles(
         self, t_ns: int, now: float, contradicting: bool, without: dict[str, list[int]]
@@ -273,6 +283,19 @@ class Receiver:
         # The vehicle has gone on since it was last known where it is.
         doubt = FASTEST_MPS * (now - self._place_s)
         return self.clock.take(now, float(np.median(seen)), math.nan, doubt)
+
+    def _learn_clock(self, now: float, point: F64 | None, offset: float, jumped: bool) -> None:
+        """Let the noise of the clock be learned from an epoch's own solution, if it has one."""
+        if jumped:
+            interrupt(self._learner)
+        if point is None:
+            return
+        clocks = point[P_CLOCK : P_CLOCK + SYSTEMS]
+        system = int(np.flatnonzero(np.isfinite(clocks))[0])
+        if system != self._clock_system:
+            interrupt(self._learner)
+            self._clock_system = system
+        learn_clock(self._learner, now, float(clocks[system]) - offset, float(point[P_RATE]))
 
     def _choose(self, rows: F64, sky: F64) -> tuple[F64, F64]:
         """The satellites to use: all, or the best set of the configured size."""

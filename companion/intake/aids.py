@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from companion.config import DEG, Config
 from companion.estimation.aid_table import (
     A_AZIMUTH,
+    A_CLOCK_SCALE,
     A_INTERFERENCE,
     A_LET_GO,
     A_SATELLITES,
@@ -140,6 +141,7 @@ class AidIntake:
             rows, verdict = _blank(len(samples))
             rows[:, :ROW_SIZE] = samples.rows
             rows[:, A_LET_GO] = samples.let_go
+            rows[:, A_CLOCK_SCALE : A_CLOCK_SCALE + 3] = samples.clock_scale
         elif isinstance(samples, BaroSamples):
             if not self.config.baro.use:
                 return None

@@ -75,6 +75,8 @@ class RangeSamples(Samples):
     """(N, 12) columns ``S_`` of :mod:`companion.gnss.corrected`."""
     let_go: F64
     """(N,) 1 at the first row of an epoch in front of which the receiver's clock jumped, else 0."""
+    clock_scale: F64
+    """(N, 3) factors on the noise of the receiver's clock: bias, drift, ramp."""
 
     @property
     def sat(self) -> I64:
@@ -167,7 +169,8 @@ def _ranges(
     let_go[first[[p.let_go and n > 0 for (p, _, _), n in zip(prepared, counts, strict=True)]]] = 1.0
     t, rx, seq = np.array([_stamps(a, m) for _, a, m in prepared], np.int64)[epoch].T
     source = prepared[0][1].source
-    return RangeSamples(source, t.copy(), rx.copy(), seq.copy(), rows, let_go)
+    clock_scale = np.stack([p.clock_scale for p, _, _ in prepared])[epoch]
+    return RangeSamples(source, t.copy(), rx.copy(), seq.copy(), rows, let_go, clock_scale)
 
 
 def _fixes(points: list[tuple[F64, RawGnssSamples, int]]) -> GnssSamples:

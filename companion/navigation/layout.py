@@ -76,7 +76,8 @@ Q_SCALE = R_SCALE + CHANNELS  # factor on the noise of the inertial unit
 ALPHA = Q_SCALE + 1  # exponential weight of the running epoch of aiding
 RECEPTION = ALPHA + 1  # share of it lost, usual number of satellites, usual variance
 R_LEAST = RECEPTION + 3  # factor on R of the fix at hand that leaves what is configured
-WINDOWS = R_LEAST + 1  # per adapted channel: innovations in a window, and what methods keep
+CLOCK_SCALE = R_LEAST + 1  # (3) factors on the noise of the receiver's clock: bias, drift, ramp
+WINDOWS = CLOCK_SCALE + 3  # per adapted channel: innovations in a window, and what methods keep
 ADAPTED = 6  # channels whose sensors are judged: the first ones; constraints are not sensors
 WINDOW_SIZE = 8 + 3 * 32
 # --- covariance, last because its size varies

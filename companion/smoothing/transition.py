@@ -26,7 +26,7 @@ from companion.estimation.receiver_clock import (
     clock_cross_noise,
     clock_noise,
 )
-from companion.estimation.tape import C_LET_GO, C_NOISE_A, C_NOISE_B, C_NOISE_V, F32
+from companion.estimation.tape import C_CLOCK, C_LET_GO, C_NOISE_A, C_NOISE_B, C_NOISE_V, F32
 from companion.navigation.layout import (
     ACCEL_BIAS,
     ATT,
@@ -183,7 +183,10 @@ def noise_diagonal(c: F32, T: float, lay: I64, par: F64, d: F64, q: F64) -> None
         q[lay[L_BARO]] = par[BARO_PSD] * T
     if lay[L_CLOCK] >= 0:
         clock = lay[L_CLOCK]
-        clock_noise(T, float(c[C_LET_GO]), par, d[clock + RAMP], q[clock:])
+        clock_noise(
+            T, float(c[C_LET_GO]), float(c[C_CLOCK]), float(c[C_CLOCK + 1]), float(c[C_CLOCK + 2]),
+            par, d[clock + RAMP], q[clock:],
+        )  # fmt: skip
     for i in range(3):
         q[POS + i] = c[C_NOISE_V] * T * T / 3.0
         q[VEL + i] = c[C_NOISE_V]
@@ -206,7 +209,7 @@ def subtract_noise(c: F32, T: float, lay: I64, par: F64, q: F64, lam: F64, x: F6
             at += 1
     b = lay[L_CLOCK]
     if b >= 0:
-        cross = clock_cross_noise(T, par)
+        cross = clock_cross_noise(T, float(c[C_CLOCK + 1]), par)
         x[b] -= cross * lam[b + DRIFT]
         x[b + DRIFT] -= cross * lam[b]
 
@@ -228,6 +231,6 @@ def add_noise(c: F32, T: float, lay: I64, par: F64, q: F64, P: F64) -> None:
             at += 1
     b = lay[L_CLOCK]
     if b >= 0:
-        cross = clock_cross_noise(T, par)
+        cross = clock_cross_noise(T, float(c[C_CLOCK + 1]), par)
         P[b, b + DRIFT] += cross
         P[b + DRIFT, b] += cross

@@ -5,8 +5,9 @@ that is 2.7 km off at the start and 11 km at the end, a reference. Two recording
 satellites, and three for 699 epochs, from 801 s on.
 
 What three satellites are worth depends on what is known of the receiver's clock. Its noise is taken
-twice: as the filter's own defaults have it, and as this clock's place by single points over the
-first 800 s, before anything is missing, says it.
+thrice: as the filter's own defaults have it; as this clock's place by single points over the first
+800 s, before anything is missing, says it afterwards; and as the receiver's stream has learned it
+on line up to each epoch.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from scipy.io import loadmat
 from companion.config import RawGnss
 from companion.estimation.pseudorange8 import EightState, Tuning
 from companion.gnss import orbit as ob
+from companion.gnss.clock_noise import Q_BIAS, Q_DRIFT
 from companion.gnss.corrected import ROW_SIZE
 from companion.gnss.geometry import ned_axes
 from companion.gnss.gps_time import gps_ns
@@ -67,7 +69,12 @@ def flight(scenario: int) -> tuple[RawGnssSamples, Receiver]:
     for t, sv, pr in zip(*(file[k].ravel() for k in ("t_gps", "svid_gps", "pr_gps")), strict=True):
         epoch = epochs.setdefault(int(t), Epoch(WEEK, float(t)))
         epoch.satellites.append(Observation(100 + int(sv), float(pr)))
-    receiver = Receiver(RawGnss(elevation_mask_deg=5.0, sd_range_m=2.0, sd_multipath_m=0.0))
+    receiver = Receiver(
+        RawGnss(
+            elevation_mask_deg=5.0, sd_range_m=2.0, sd_multipath_m=0.0,
+            clock_walk_m_rts=Tuning().clock_m_rts, clock_drift_walk_mps_rts=Tuning().drift_mps_rts,
+        )
+    )  # fmt: skip
     receiver.listen(broadcast_samples("dc3", ephemerides(file["ephem"])))
     return raw_samples("dc3", list(epochs.values())), receiver
 
@@ -94,6 +101,13 @@ def learned_clock() -> Tuning:
     )
 
 
+def on_line(scale: F64) -> Tuning:
+    """The clock's noise by the factors on the configured one that the stream has learned so far."""
+    bias, drift = np.sqrt(scale[[Q_BIAS, Q_DRIFT]])
+    start = Tuning()
+    return Tuning(clock_m_rts=start.clock_m_rts * bias, drift_mps_rts=start.drift_mps_rts * drift)
+
+
 def main() -> None:
     learned = learned_clock()
     print(f"Clock learned from the first {LEARN_S} s: {learned.clock_m_rts:.2f} m/√s of bias, "
@@ -112,6 +126,8 @@ def main() -> None:
             "feedback": EightState(Tuning(), feedback=True),
             "feedforward, learned": EightState(learned, feedback=False),
             "feedback, learned": EightState(learned, feedback=True),
+            "feedforward, on line": EightState(Tuning(), feedback=False),
+            "feedback, on line": EightState(Tuning(), feedback=True),
             "four or none": EightState(Tuning(), feedback=True),
         }
         errors: dict[str, list[F64]] = {"single point": [], **{k: [] for k in filters}}
@@ -127,10 +143,15 @@ def main() -> None:
             errors["single point"].append(axes @ (point - truth))
             for name, filter_ in filters.items():
                 enough = len(prepared.rows) >= 4 or name != "four or none"
+                if name.endswith("on line"):
+                    filter_.tuning = on_line(prepared.clock_scale)
                 estimate = filter_.step(1.0, place[i], prepared.rows if enough else NOTHING)
                 errors[name].append(axes @ (estimate.ecef - truth))
             few.append(len(prepared.rows) < 4)
         less = np.array(few)
+        last = filters["feedback, on line"].tuning
+        print(f"{words}: at the end, learned on line {last.clock_m_rts:.2f} m/√s of bias, "
+              f"{last.drift_mps_rts:.4f} m/s/√s of drift")  # fmt: skip
         for name, found in errors.items():
             e = np.array(found)
             e[:60] = np.nan  # until it has converged

@@ -115,6 +115,7 @@ def linear_run(
         s[lo.SUM_T] = 2.0 ** -rng.integers(2, 6)
         T = s[lo.SUM_T]
         s[lo.Q_SCALE] = 2.0 ** rng.integers(0, 4)
+        s[lo.CLOCK_SCALE : lo.CLOCK_SCALE + 3] = 2.0 ** rng.integers(-3, 4, 3)
         s[lo.VEL_N : lo.VEL_N + 3] = rng.normal(0, 20, 3).astype(np.float32)
         s[lo.SUM_V : lo.SUM_V + 33] = (T * rng.normal(0, 1, 33)).astype(np.float32)
         s[lo.SUM_V : lo.SUM_V + 3] *= 8.0

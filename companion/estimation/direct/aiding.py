@@ -12,6 +12,7 @@ from companion.estimation.adaptation.flac import LARGEST_ACCEL, LARGEST_ATT, LAR
 from companion.estimation.adaptation.layout import FLAC
 from companion.estimation.aid_table import (
     A_AZIMUTH,
+    A_CLOCK_SCALE,
     A_INTERFERENCE,
     A_LET_GO,
     A_SATELLITES,
@@ -60,7 +61,7 @@ from companion.estimation.parameters import (
 )
 from companion.estimation.receiver_clock import LET_GO_DRIFT_VAR, LET_GO_VAR
 from companion.gnss.corrected import S_RANGE_VAR, S_RATE, S_RATE_VAR, S_SYSTEM
-from companion.navigation.layout import BIAS, DRIFT
+from companion.navigation.layout import BIAS, CLOCK_SCALE, DRIFT
 from companion.navigation.rotation import quat_to_matrix
 from companion.types import F64, I64
 
@@ -215,6 +216,8 @@ def fuse_ranges(
     lever = par[LEVER : LEVER + 3]
     if z[A_LET_GO] == 1.0:
         let_go(s, lay)
+    for i in range(3):
+        s[CLOCK_SCALE + i] = z[A_CLOCK_SCALE + i]
     for half in range(2):
         rate = half == 1
         if rate and math.isnan(z[S_RATE]):

@@ -111,7 +111,7 @@ class Layout:
     def blank(self) -> tuple[F64, I64]:
         """States of which nothing is known yet: all zero, nothing scaled."""
         s, k = np.zeros(self.size), np.zeros(self.int_size, np.int64)
-        s[common.R_SCALE : common.RECEPTION] = s[common.R_LEAST] = 1.0
+        s[common.R_SCALE : common.RECEPTION] = s[common.R_LEAST : common.WINDOWS] = 1.0
         return s, k
 
     def vector(self) -> I64:

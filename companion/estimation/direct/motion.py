@@ -48,7 +48,7 @@ from companion.estimation.direct.parameters import ACC_TAU, JERK_PSD, RATE_PSD, 
 from companion.estimation.parameters import CLOCK_RAMP_TAU
 from companion.estimation.receiver_clock import carry_clock, spread_clock
 from companion.navigation.earth import radii
-from companion.navigation.layout import Q_SCALE
+from companion.navigation.layout import CLOCK_SCALE, Q_SCALE
 from companion.navigation.rotation import quat_to_matrix, rotate_body
 from companion.types import F64, I64
 
@@ -215,4 +215,5 @@ def spread(s: F64, lay: I64, par: F64, slow: F64, dt: float, W: F64) -> None:
             P[i, i] *= f
         P[i, i] += slow[1, i] * dt
     if lay[L_CLOCK] >= 0:
-        spread_clock(P, lay[L_CLOCK], dt, 0.0, par, W[0])
+        scale = s[CLOCK_SCALE : CLOCK_SCALE + 3]
+        spread_clock(P, lay[L_CLOCK], dt, 0.0, scale, par, W[0])
