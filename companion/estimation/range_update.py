@@ -18,7 +18,7 @@ from companion._jit import njit
 from companion.estimation.adaptation.adapt import after_fix
 from companion.estimation.adaptation.layout import TRACED
 from companion.estimation.parameters import FEEDFORWARD, GATE
-from companion.estimation.tape import RECORDER, Recorder, record_fix, record_turn, record_update
+from companion.estimation.tape import RECORDER, Recorder, record_fix, record_turn
 from companion.estimation.update import (
     ACCEPTED,
     R_CHANNEL,
@@ -33,6 +33,8 @@ from companion.estimation.update import (
     R_VERDICT,
     REFUSED_INVALID,
     REJECTED_GATE,
+    against,
+    apply,
     reset_covariance,
 )
 from companion.gnss.corrected import S_RANGE_VAR, S_RATE, S_RATE_VAR, S_SYSTEM
@@ -60,18 +62,7 @@ def fuse_scalar(
     ``y``: innovation where ``dx`` is zero; ``a`` (n,) is scratch; what came of it goes to
     ``report``. Returns whether it was accepted.
     """
-    n = P.shape[0]
-    for j in range(n):
-        a[j] = 0.0
-    for i in range(n):
-        h = H[i]
-        if h != 0.0:
-            y -= h * dx[i]
-            for j in range(n):
-                a[j] += h * P[i, j]
-    S = R
-    for i in range(n):
-        S += H[i] * a[i]
+    S, y = against(P, dx, H, y, R, a)
     # Not a number where the innovation is none; below zero where S is not definite.
     nis = y * y / S if S > 0.0 else -1.0
     report[R_DOF] = 1.0
@@ -87,15 +78,7 @@ def fuse_scalar(
         report[R_VERDICT] = REJECTED_GATE
         return False
     report[R_VERDICT] = ACCEPTED
-    r = 1.0 / math.sqrt(S)
-    for j in range(n):
-        a[j] *= r
-    record_update(tape, H, a, r, y, n)
-    for j in range(n):
-        g = a[j]
-        dx[j] += g * (r * y)
-        for i in range(n):
-            P[j, i] -= g * a[i]
+    apply(P, dx, H, a, S, y, tape)
     return True
 
 

@@ -132,6 +132,39 @@ def foresee(s: F64, lay: I64, ipar: I64, H: F64, y: F64, R: F64, m: int, W: F64)
     return float(normalised_square(S, y, m, L))
 
 
+@njit("UniTuple(f8, 2)(f8[:, ::1], f8[::1], f8[::1], f8, f8, f8[::1])", cache=True, counted=False)
+def against(P: F64, dx: F64, H: F64, y: float, R: float, a: F64) -> tuple[float, float]:
+    """S and innovation of one component, ``dx`` (n,) being corrected already; ``a`` ← P Hᵀ (n,)."""
+    n = P.shape[0]
+    for j in range(n):
+        a[j] = 0.0
+    for i in range(n):
+        h = H[i]
+        if h != 0.0:
+            for j in range(n):
+                a[j] += h * P[i, j]
+    S = R
+    for i in range(n):
+        S += H[i] * a[i]
+        y -= H[i] * dx[i]
+    return S, y
+
+
+@njit(f"void(f8[:, ::1], f8[::1], f8[::1], f8[::1], f8, f8, {RECORDER})", cache=True, counted=False)
+def apply(P: F64, dx: F64, H: F64, a: F64, S: float, y: float, tape: Recorder) -> None:
+    """Correct ``dx`` (n,) and P by one component of :func:`against`; ``a`` becomes P Hᵀ/√S."""
+    n = P.shape[0]
+    r = 1.0 / math.sqrt(S)
+    for j in range(n):
+        a[j] *= r
+    record_update(tape, H, a, r, y, n)
+    for j in range(n):
+        g = a[j]
+        dx[j] += g * (r * y)
+        for i in range(n):
+            P[j, i] -= g * a[i]
+
+
 @njit("void(f8[::1], f8, i8)", cache=True, counted=False)
 def note_velocity_fit(s: F64, nis: float, m: int) -> None:
     """Take one NIS of ``m`` components of velocity into the running mean."""
@@ -209,28 +242,8 @@ def fuse(
     for j in range(n):
         dx[j] = 0.0
     for i in range(m):
-        a = PHt[i]
-        for j in range(n):
-            a[j] = 0.0
-        for k in range(n):
-            h = H[i, k]
-            if h != 0.0:
-                for j in range(n):
-                    a[j] += h * P[k, j]
-        v = R[i] * scale
-        e = y[i]
-        for k in range(n):
-            v += H[i, k] * a[k]
-            e -= H[i, k] * dx[k]
-        r = 1.0 / math.sqrt(v)
-        for j in range(n):
-            a[j] *= r
-        record_update(tape, H[i], a, r, e, n)
-        for j in range(n):
-            dx[j] += a[j] * (r * e)
-            g = a[j]
-            for k in range(n):
-                P[j, k] -= g * a[k]
+        S_one, e = against(P, dx, H[i], y[i], R[i] * scale, PHt[i])
+        apply(P, dx, H[i], PHt[i], S_one, e, tape)
     if ipar[FEEDFORWARD] == 1:
         for j in range(n):
             s[DX + j] += dx[j]
