@@ -86,9 +86,9 @@ def show_run(console: Console, run: Mapping[str, Any]) -> None:
     _show_sensors(console, run["sensors"])
     _show_start(console, run["start"])
     _show_gates(console, run["gates"])
-    _show_sky(console, run["sky"])
+    show_sky(console, run["sky"])
     _show_sources(console, run["sources"])
-    _show_events(console, run["events"])
+    show_events(console, run["events"])
     _show_adaptation(console, run["adaptation"])
     if run["accuracy"] is not None:
         show_accuracy(console, run["accuracy"])
@@ -110,7 +110,7 @@ def _show_flight(console: Console, run: Mapping[str, Any]) -> None:
         console.print("Flown     nothing: the filter never aligned")
         return
     console.print(
-        f"Flown     {_span(flight['duration_s'])}, {flight['distance_m']:.0f} m over ground, "
+        f"Flown     {span(flight['duration_s'])}, {flight['distance_m']:.0f} m over ground, "
         f"at most {flight['max_speed_mps']:.1f} m/s, height {flight['min_height_m']:.1f} to "
         f"{flight['max_height_m']:.1f} m ({flight['height_datum'].upper()})"
     )
@@ -122,7 +122,8 @@ def _show_flight(console: Console, run: Mapping[str, Any]) -> None:
         console.print(f"Withheld  GNSS in {windows}")
 
 
-def _span(seconds: float) -> str:
+def span(seconds: float) -> str:
+    """``2 min 19 s``."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
 
@@ -195,7 +196,8 @@ def _show_sources(console: Console, sources: Mapping[str, Mapping[str, Any]]) ->
         )
 
 
-def _show_sky(console: Console, sky: Mapping[str, Any] | None) -> None:
+def show_sky(console: Console, sky: Mapping[str, Any] | None) -> None:
+    """Print ``sky`` of ``replay --json``, a line."""
     if sky is None:
         return
     geometry = ""
@@ -216,7 +218,7 @@ def _show_sky(console: Console, sky: Mapping[str, Any] | None) -> None:
     )
 
 
-def _show_events(console: Console, events: Sequence[Mapping[str, Any]], most: int = 12) -> None:
+def show_events(console: Console, events: Sequence[Mapping[str, Any]], most: int = 12) -> None:
     """The first of them; changes of the set of satellites are counted above, by the sky."""
     colour = {"info": "default", "warning": "yellow", "error": "red"}
     every, events = len(events), [e for e in events if e["kind"] != "satellite-set"]
@@ -261,7 +263,7 @@ def show_accuracy(console: Console, accuracy: Mapping[str, Any]) -> None:
     against = {"truth": "truth", "autopilot": "the autopilot's own estimate"}
     table = _table(
         f"Errors against {against[accuracy['reference']]}, RMS over "
-        f"{_span(accuracy['duration_s'])} ({accuracy['solution']} solution)",
+        f"{span(accuracy['duration_s'])} ({accuracy['solution']} solution)",
         "",
         *("north", "east", "down", "horizontal", "3-D"),
     )

@@ -21,7 +21,10 @@ READABLE = (
     "or a sensor folder with imu.csv"
 )
 
-_RAW_GNSS = "it belongs into raw_gnss/ of a sensor folder, beside imu.csv"
+_RAW_GNSS = (
+    "it belongs into raw_gnss/ of a sensor folder, beside imu.csv (companion satellites reads it "
+    "alone)"
+)
 _MAGIC = (
     (b"\x89MCAP", "mcap"),
     (b"ULog\x01\x12\x35", "ulog"),

@@ -67,7 +67,8 @@ def _place(t_ns: I64, lat: F64, lon: F64, height: F64, vel_n: F64) -> list[Colum
     ]
 
 
-def _gnss_columns(gnss: GnssSamples) -> list[Column]:
+def gnss_columns(gnss: GnssSamples) -> list[Column]:
+    """The columns of ``gnss.csv``."""
     return [
         *_place(gnss.t_ns, gnss.lat, gnss.lon, gnss.height, gnss.vel_n),
         *_axes((f"sd_{a}_m" for a in "ned"), "%.4f", gnss.sd_pos),
@@ -102,7 +103,7 @@ def write_folder(
     for number, imu in enumerate(recording.imu, start=1):
         tables["imu.csv" if number == 1 else f"imu{number}.csv"] = _imu_columns(imu)
     for gnss in recording.gnss:
-        tables["gnss.csv"] = _gnss_columns(gnss)
+        tables["gnss.csv"] = gnss_columns(gnss)
     for baro in recording.baro:
         tables["baro.csv"] = [("t_ns", "%d", baro.t_ns), ("pressure_pa", "%.3f", baro.pressure)]
     for mag in recording.mag:

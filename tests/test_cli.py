@@ -30,6 +30,7 @@ COMMANDS = (
     "check",
     "demo",
     "run",
+    "satellites",
     "watch",
 )
 

@@ -7,6 +7,7 @@ live, and in the log of a live run, messages come when they come.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -44,16 +45,25 @@ class RawFolder:
 
 
 def read_raw_folder(folder: Path, clock: GnssClock, near_ns: int | None = None) -> RawFolder:
-    """Read every file of ``folder``; its stamps are of a POSIX clock that runs on ``clock`` time.
+    """Read every file of ``folder``; see :func:`read_raw_files`."""
+    paths = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix != ".md")
+    return read_raw_files(paths, str(folder), clock, near_ns)
 
-    ``near_ns``: where on that clock the recording begins; RTCM 3 does not tell the week.
-    Raises :class:`LogFormatError` where a file is none of the formats or broken, where there are
-    several receivers, and where measurements or navigation messages are missing.
+
+def read_raw_files(
+    paths: Sequence[Path], where: str, clock: GnssClock, near_ns: int | None = None
+) -> RawFolder:
+    """Read what one receiver recorded; its stamps are of a POSIX clock that runs on ``clock`` time.
+
+    ``where``: what errors call them all. ``near_ns``: where on that clock the recording begins;
+    RTCM 3 does not tell the week. Raises :class:`LogFormatError` where a file is none of the
+    formats or broken, where there are several receivers, and where measurements or navigation
+    messages are missing.
     """
     raws: list[RawGnssSamples] = []
     broadcasts: list[BroadcastSamples] = []
     notes: list[str] = []
-    for path in sorted(p for p in folder.iterdir() if p.is_file() and p.suffix != ".md"):
+    for path in paths:
         if path.suffix.lower() == ".ubx":
             raw, broadcast, _, said = read_ubx(path)
             raws.append(raw)
@@ -74,9 +84,9 @@ def read_raw_folder(folder: Path, clock: GnssClock, near_ns: int | None = None) 
         notes += said
     if len(raws) != 1:
         names = ", ".join(r.source for r in raws) or "none"
-        raise LogFormatError(f"{folder}: measurements of one receiver are expected; there: {names}")
+        raise LogFormatError(f"{where}: measurements of one receiver are expected; there: {names}")
     if not any((b.sat > 0).any() for b in broadcasts):
-        raise LogFormatError(f"{folder}: no ephemerides; a navigation file is missing")
+        raise LogFormatError(f"{where}: no ephemerides; a navigation file is missing")
     raw = on_clock(raws[0], clock)
     return RawFolder(raw, _from_the_start(broadcasts, int(raw.t_rx_ns[0])), tuple(notes))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,12 @@ from replay.raw_gnss.folder import on_clock
 from replay.raw_gnss.rinex_observations import read_observations
 from replay.reader import read_log
 
+from ..test_cli import Ran
+from ..test_cli import run as run
 from .test_rinex import OBS_3, TCKF
 
 SECONDS, RATE_HZ = 1, 100
+Call = Callable[..., Ran]
 
 
 @pytest.fixture
@@ -83,3 +87,43 @@ def test_an_imu_file_without_a_row_is_no_traceback(folder: Path) -> None:
     assert recording.vehicles[0].raw[0].t_ns[0] > gps_ns(2268, 0.0)
     with pytest.raises(LogFormatError):
         navigable(recording, choose_config(recording).config)
+
+
+def test_a_receiver_by_itself_tells_its_satellites_and_writes_fixes_that_are_read(
+    data_dir: Path, tmp_path: Path, run: Call
+) -> None:
+    out = tmp_path / "fixes" / "gnss.csv"
+    out.parent.mkdir()
+    result = run("satellites", data_dir / "rtk-walk/gnss_1730.ubx", "-o", out, "--json")
+    told = result.json
+    assert told["solved"] == told["epochs"] == 536
+    # Where its own RTK says, but for its base station's coordinates, 8 m off (docs/results.md).
+    assert told["place"]["lat_deg"] == pytest.approx(40.0967, abs=2e-4)
+    assert told["place"]["lon_deg"] == pytest.approx(-105.1471, abs=2e-4)
+    assert [s["name"] for s in told["systems"]] == ["GPS", "Galileo", "BeiDou"]
+    assert all(s["with_ephemeris"] < s["satellites"] for s in told["systems"])
+    assert told["sky"]["satellites_least"] >= 10
+    [fixes] = read_log([out.parent]).vehicles[0].gnss
+    assert len(fixes) == 536
+    assert fixes.num_sats.min() >= 10
+    assert np.isfinite(fixes.vel_n).all()
+    assert (fixes.sd_pos > 0.1).all()
+
+
+@pytest.mark.parametrize(
+    ("paths", "why"),
+    [
+        (["nothing.ubx"], "no such file or folder"),
+        (["a.obs"], "no ephemerides; a navigation file is missing"),
+        (["a.nav"], "measurements of one receiver are expected; there: none"),
+        ([".", "a.obs"], "one folder alone, or files"),
+    ],
+)
+def test_receivers_that_cannot_be_solved_are_one_line(
+    folder: Path, run: Call, paths: list[str], why: str
+) -> None:
+    raw = folder / "raw_gnss"
+    result = run("satellites", *(raw / path for path in paths))
+    assert result.status == 1
+    assert why in result.err
+    assert len(result.err.strip().splitlines()) == 1

@@ -342,3 +342,34 @@ def batch(
 
     made = batch_logs(console, logs, output, config, scheduler, workers, timeout, rate)
     emit_if(as_json, made)
+
+
+def satellites(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PATH…",
+            help="One receiver's raw measurements: u-blox .ubx, RTCM 3 .rtcm3, RINEX observation "
+            "and navigation files, GnssLogger .txt; or the folder that holds them.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE.csv", help="Fixes, as gnss.csv of a sensor folder."
+        ),
+    ] = None,
+    config: ConfigPath = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Raw GNSS by itself: satellites, geometry, what is refused, a least-squares place an epoch.
+
+    No inertial unit is in it. Degrees, metres above the ellipsoid, m/s. [raw_gnss] of --config says
+    which satellites are used and what their ranges are worth.
+
+    Example: companion satellites receiver.ubx -o fixes.csv
+    """
+    console = console_for(as_json)
+    from companion.cli.satellites import solve_receiver
+
+    emit_if(as_json, solve_receiver(console, paths, config, output))
