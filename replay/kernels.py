@@ -32,6 +32,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "gnss": (
         "companion.gnss", "companion.measurements.pseudorange",
         "companion.estimation.receiver_clock", "companion.estimation.adaptation.constellations",
+        "companion.intake.raw_gnss",
     ),
     "several imus": ("companion.intake.fusion",),
     "files": ("replay.candump", "replay.dataflash_codec"),

@@ -13,20 +13,32 @@ from companion.types import F64
 def klobuchar(
     coefficients: F64, lat: float, lon: float, azimuth: float, elevation: float, second: float
 ) -> float:
+    """Ionospheric delay at L1 [m] towards ``azimuth``; as :func:`klobuchar_towards`."""
+    north, east = math.cos(azimuth), math.sin(azimuth)
+    return klobuchar_towards(coefficients, lat, lon, north, east, elevation, second)
+
+
+@njit("f8(f8[::1], f8, f8, f8, f8, f8, f8)", cache=True, counted=False)
+def klobuchar_towards(
+    coefficients: F64, lat: float, lon: float, north: float, east: float, elevation: float,
+    second: float,
+) -> float:  # fmt: skip
     """Ionospheric delay at L1 [m] by the GPS broadcast model, IS-GPS-200 figure 20-4.
 
-    ``coefficients`` (8,): α0…α3, β0…β3 as broadcast; angles [rad]; ``second``: GPS second of week
-    (or of day). The model speaks semicircles.
+    ``coefficients`` (8,): α0…α3, β0…β3 as broadcast; ``lat``, ``lon``, ``elevation`` [rad];
+    ``north``, ``east``: cosine and sine of the azimuth; ``second``: GPS second of week (or of day).
+    The model speaks semicircles.
     """
     e = elevation / math.pi
     psi = 0.0137 / (e + 0.11) - 0.022
-    phi = lat / math.pi + psi * math.cos(azimuth)
+    phi = lat / math.pi + psi * north
     phi = min(max(phi, -0.416), 0.416)
-    lam = lon / math.pi + psi * math.sin(azimuth) / math.cos(phi * math.pi)
+    lam = lon / math.pi + psi * east / math.cos(phi * math.pi)
     phi_m = phi + 0.064 * math.cos((lam - 1.617) * math.pi)
     local = 43200.0 * lam + second
     local -= 86400.0 * math.floor(local / 86400.0)
-    slant = 1.0 + 16.0 * (0.53 - e) ** 3
+    low = 0.53 - e
+    slant = 1.0 + 16.0 * low * low * low
     amplitude, period = 0.0, 0.0
     for i in range(3, -1, -1):
         amplitude = amplitude * phi_m + coefficients[i]
@@ -35,7 +47,8 @@ def klobuchar(
     x = 2.0 * math.pi * (local - 50400.0) / period
     delay = 5e-9
     if abs(x) < 1.57:
-        delay += amplitude * (1.0 - x * x / 2.0 + x**4 / 24.0)
+        square = x * x
+        delay += amplitude * (1.0 - square / 2.0 + square * square / 24.0)
     return C * slant * delay
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from companion.gnss.knots import KNOT_SIZE
 from companion.gnss.orbit import (
     E_ACCURACY,
     E_AF0,
@@ -28,7 +29,7 @@ from companion.gnss.orbit import (
     satellite_at,
     since,
 )
-from companion.gnss.systems import BEIDOU, GALILEO, GPS, satellite_name
+from companion.gnss.systems import BEIDOU, GALILEO, GPS, SYSTEMS, satellite_name
 from companion.types import F64, I64, BroadcastSamples
 
 MOST_AGE_S = {GPS: 7_200.0, GALILEO: 14_400.0, BEIDOU: 7_200.0}
@@ -39,10 +40,18 @@ CONTRADICTION_M = 200.0
 NEIGHBOURS_S = 3 * 3_600.0
 KEPT = 64
 """Ephemerides kept of a satellite: a day of files with half-hourly ones."""
+CHOICE_S = 30.0
+WEEK_S = 604_800.0
 _SEMI_AXIS = (4_500.0, 7_000.0)
-_CHOICE_S = 30.0
+_EVER = int(np.iinfo(np.int64).max)
 
+# --- why a satellite has none: entries of Table.row_of
 MISSING, STALE, UNHEALTHY, CONTRADICTORY = "missing", "stale", "unhealthy", "contradictory"
+REASONS = (MISSING, STALE, UNHEALTHY, CONTRADICTORY)
+NO_ROW = -1
+"""And those before it: −1 − the reason's place in :data:`REASONS`."""
+NUMBERS = 100 * (SYSTEMS + 1)
+"""Satellites are numbered below."""
 
 
 @dataclass(slots=True)
@@ -50,20 +59,49 @@ class _Known:
     """One ephemeris and what is thought of it."""
 
     row: F64
+    reference_s: float
+    """Time of reference, seconds since the GPS epoch."""
     doubted: bool = False
-    received: int = 1
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
-    """What :meth:`Ephemerides.table` answered, and the times within which it would so again."""
+class _Choice:
+    """What is used of a satellite, and the choices of time from and before which that holds."""
 
-    sats: bytes
-    begin: float
-    end: float
+    begin: int
+    end: int
+    row: F64 | None
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The ephemerides in use, from one choice of time on, before another."""
+
+    begin: int
+    end: int
     rows: F64
-    which: I64
-    without: dict[str, list[int]]
+    """(M, 28); not to be written to."""
+    row_of: I64
+    """(:data:`NUMBERS`,) row of each satellite, or :data:`NO_ROW` and below."""
+    knots: F64
+    """(M, 2, ·) of :mod:`companion.gnss.knots`, moved on by who uses the table."""
+
+    def without(self, sats: I64) -> dict[str, list[int]]:
+        """Which of ``sats`` have no ephemeris, by reason."""
+        found: dict[str, list[int]] = {}
+        for sat, row in zip(sats.tolist(), self.row_of[sats].tolist(), strict=True):
+            if row <= NO_ROW:
+                found.setdefault(REASONS[NO_ROW - row], []).append(sat)
+        return found
+
+
+def choice_of(now: F64) -> I64:
+    """(N,) which choice of ephemerides counts at GPS times ``now`` [s since the GPS epoch].
+
+    Choices lie on a grid of time, so that who was asked about when changes nothing.
+    """
+    return np.floor(np.nan_to_num(now, posinf=0.0, neginf=0.0) / CHOICE_S).astype(np.int64)
 
 
 @dataclass(slots=True)
@@ -74,37 +112,47 @@ class Ephemerides:
     refused: dict[str, int] = field(default_factory=dict)
     """Messages refused when they came, by reason."""
     _of: dict[int, list[_Known]] = field(default_factory=dict)
-    _chosen: dict[int, tuple[float, F64 | None, str]] = field(default_factory=dict)
-    _held: _Table | None = None
+    _chosen: dict[int, _Choice] = field(default_factory=dict)
+    _held: Table | None = None
 
     def take(self, samples: BroadcastSamples) -> None:
         """Add what a receiver or a file broadcast; what cannot be is counted and dropped."""
         for sat, values in zip(samples.sat.tolist(), samples.values, strict=True):
+            if self.repeats(sat, values):
+                continue
             if sat == 0:
-                if np.isfinite(values[:8]).all():
-                    self.ionosphere = values[:8].copy()
-                else:
-                    self._refuse("impossible")
+                self.ionosphere = values[:8].copy()
             else:
                 self._add(sat, values)
+
+    def repeats(self, sat: int, values: F64) -> bool:
+        """Whether a message changes nothing: it is known already, or was refused just now."""
+        if sat == 0:
+            if np.array_equal(values[:8], self.ionosphere):
+                return True
+            fits = bool(np.isfinite(values[:8]).all())
+        else:
+            known = self._of.get(sat, ())
+            if any(not old.doubted and np.array_equal(old.row, values) for old in known):
+                return True
+            fits = 100 <= sat < NUMBERS and int(values[E_SAT]) == sat and possible(values)
+        if not fits:
+            self._refuse("impossible")
+        return not fits
 
     def _refuse(self, reason: str) -> None:
         self.refused[reason] = self.refused.get(reason, 0) + 1
 
     def _add(self, sat: int, row: F64) -> None:
+        """Add a possible ephemeris that is not known, or settle one in doubt."""
         self._held = None
-        if not possible(row) or int(row[E_SAT]) != sat:
-            self._refuse("impossible")
-            return
         known = self._of.setdefault(sat, [])
         self._chosen.pop(sat, None)
         for old in known:
             if np.array_equal(old.row, row):
-                old.received += 1
-                if old.doubted:
-                    self._settle(known, old)
+                self._settle(known, old)
                 return
-        new = _Known(row.copy())
+        new = _Known(row.copy(), float(row[E_WEEK]) * WEEK_S + float(row[E_TOE]))
         near = [old for old in known if abs(_apart(old.row, row)) <= NEIGHBOURS_S]
         if any(not old.doubted and agree(old.row, row) for old in near):
             pass
@@ -128,56 +176,56 @@ class Ephemerides:
 
     def choose(self, sat: int, week: int, tow: float) -> tuple[F64 | None, str]:
         """The ephemeris to use for a satellite at a GPS time, or None and why not."""
-        now = week * 604_800.0 + tow
-        held = self._chosen.get(sat)
-        if held is not None and 0.0 <= now - held[0] < _CHOICE_S:
-            return held[1], held[2]
-        row, why = self._choose(sat, week, tow)
-        self._chosen[sat] = (now, row, why)
-        return row, why
+        choice = self._choice(sat, int(choice_of(np.array([week * WEEK_S + tow]))[0]))
+        return choice.row, choice.why
 
-    def _choose(self, sat: int, week: int, tow: float) -> tuple[F64 | None, str]:
+    def _choice(self, sat: int, at: int) -> _Choice:
+        held = self._chosen.get(sat)
+        if held is None or not held.begin <= at < held.end:
+            held = self._chosen[sat] = self._choose(sat, at)
+        return held
+
+    def _choose(self, sat: int, at: int) -> _Choice:
         known = self._of.get(sat)
         if not known:
-            return None, MISSING
-        best = min(known, key=lambda k: abs(since(week, tow, k.row[E_WEEK], k.row[E_TOE])))
-        if abs(since(week, tow, best.row[E_WEEK], best.row[E_TOE])) > MOST_AGE_S[sat // 100 - 1]:
-            return None, STALE
+            return _Choice(at, at + 1, None, MISSING)
+        now, most_age = at * CHOICE_S, MOST_AGE_S[sat // 100 - 1]
+        best = min(known, key=lambda k: abs(now - k.reference_s))
+        # Another is nearer from the middle between them on; a second before any of these moments it
+        # is looked at anew, so that rounding has no say.
+        turns = [0.5 * (best.reference_s + k.reference_s) for k in known if k is not best]
+        turns += [best.reference_s - most_age, best.reference_s + most_age]
+        next_s = min((turn for turn in turns if turn > now - 1.0), default=math.inf)
+        end = max(at + 1, math.ceil((next_s - 1.0) / CHOICE_S)) if next_s < math.inf else _EVER
+        if abs(now - best.reference_s) > most_age:
+            return _Choice(at, end, None, STALE)
         if best.row[E_HEALTH] != 0:
-            return None, UNHEALTHY
+            return _Choice(at, end, None, UNHEALTHY)
         if best.doubted:
-            return None, CONTRADICTORY
-        return best.row, ""
+            return _Choice(at, end, None, CONTRADICTORY)
+        return _Choice(at, end, best.row, "")
 
-    def table(self, sats: I64, week: int, tow: float) -> tuple[F64, I64, dict[str, list[int]]]:
-        """Ephemerides (M, 28) of satellites, the row of each or −1, and who has none for what.
-
-        They are held: not to be written to.
-        """
-        now, asked = week * 604_800.0 + tow, sats.tobytes()
+    def table(self, at: int) -> Table:
+        """The ephemerides in use of all satellites at a choice of time (:func:`choice_of`)."""
         held = self._held
-        if held is None or held.sats != asked or not held.begin <= now < held.end:
-            held = self._held = self._table(asked, sats, week, tow)
-        return held.rows, held.which, held.without
+        if held is None or not held.begin <= at < held.end:
+            held = self._held = self._table(at)
+        return held
 
-    def _table(self, asked: bytes, sats: I64, week: int, tow: float) -> _Table:
-        which = np.full(len(sats), -1, np.int64)
+    def _table(self, at: int) -> Table:
+        row_of = np.full(NUMBERS, NO_ROW)
         rows: list[F64] = []
-        without: dict[str, list[int]] = {}
-        begin, end = -math.inf, math.inf
-        for m, sat in enumerate(sats.tolist()):
-            if sat == 0:
-                continue
-            row, why = self.choose(sat, week, tow)
-            since_s = self._chosen[sat][0]
-            begin, end = max(begin, since_s), min(end, since_s + _CHOICE_S)
-            if row is None:
-                without.setdefault(why, []).append(sat)
+        end = _EVER
+        for sat in self._of:
+            choice = self._choice(sat, at)
+            end = min(end, choice.end)
+            if choice.row is None:
+                row_of[sat] = NO_ROW - REASONS.index(choice.why)
             else:
-                which[m] = len(rows)
-                rows.append(row)
+                row_of[sat] = len(rows)
+                rows.append(choice.row)
         table = np.array(rows) if rows else np.zeros((0, EPHEMERIS_SIZE))
-        return _Table(asked, begin, end, table, which, without)
+        return Table(at, end, table, row_of, np.full((len(rows), 2, KNOT_SIZE), np.nan))
 
     @property
     def empty(self) -> bool:

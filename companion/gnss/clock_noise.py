@@ -189,7 +189,7 @@ def _begin_cell(s: F64, cell: float, t: float, clock: float) -> None:
     s[FIRST_T], s[FIRST] = t, clock
 
 
-@njit("void(f8[::1], f8, f8, f8)", cache=True, entry=True)
+@njit("void(f8[::1], f8, f8, f8)", cache=True)
 def learn_clock(s: F64, t: float, clock: float, rate: float) -> None:
     """Take in an epoch's own ``clock`` [m], without steps, and ``rate`` [m/s] at ``t`` [s].
 

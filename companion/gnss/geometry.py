@@ -42,25 +42,25 @@ def ned_axes(lat: float, lon: float, R: F64) -> None:
     R[2, 0], R[2, 1], R[2, 2] = -cp * cl, -cp * sl, -sp
 
 
-@njit("b1(f8[:, ::1], i8)", cache=True)
+@njit("b1(f8[:, ::1], i8)", cache=True, counted=False)
 def invert_spd(M: F64, n: int) -> bool:
-    """Invert the leading n×n (n ≤ 8) of a symmetric positive definite matrix in place.
+    """Invert the leading n×n (n ≤ 7) of a symmetric positive definite matrix in place.
 
-    Gauss-Jordan without pivoting, which a positive definite matrix does not need. False, and the
-    matrix destroyed, where it is not (numerically) definite.
+    ``M`` (8, 8), the last column being scratch. Gauss-Jordan without pivoting, which a positive
+    definite matrix does not need. False, and the matrix destroyed, where it is not (numerically)
+    definite.
     """
-    scale = np.empty(8)
     for i in range(n):
         if not M[i, i] > 0.0:
             return False
-        scale[i] = M[i, i]
+        M[i, 7] = M[i, i]
     for k in range(n):
-        pivot = M[k, k]
-        if not pivot > 1e-12 * scale[k]:
+        if not M[k, k] > 1e-12 * M[k, 7]:
             return False
+        inverse = 1.0 / M[k, k]
         M[k, k] = 1.0
         for j in range(n):
-            M[k, j] /= pivot
+            M[k, j] *= inverse
         for i in range(n):
             if i != k:
                 f = M[i, k]
@@ -70,32 +70,55 @@ def invert_spd(M: F64, n: int) -> bool:
     return True
 
 
-@njit("void(f8[:, ::1], i8[::1], i8, f8[::1])", cache=True, entry=True)
-def dilution(G: F64, systems: I64, m: int, out: F64) -> None:
+@njit("void(f8[:, ::1], i8, f8[::1], f8)", cache=True, counted=False)
+def add_line(N: F64, k: int, u: F64, weight: float) -> None:
+    """Add ``weight`` hᵀh of a range's line h to ``N`` (8, 8), above and on the diagonal only.
+
+    h holds −``u`` (3,), the line of sight, for the place, and a 1 at ``k`` > 2 for its clock.
+    """
+    w0, w1, w2 = weight * u[0], weight * u[1], weight * u[2]
+    N[0, 0] += w0 * u[0]
+    N[0, 1] += w0 * u[1]
+    N[0, 2] += w0 * u[2]
+    N[1, 1] += w1 * u[1]
+    N[1, 2] += w1 * u[2]
+    N[2, 2] += w2 * u[2]
+    N[0, k] -= w0
+    N[1, k] -= w1
+    N[2, k] -= w2
+    N[k, k] += weight
+
+
+@njit("void(f8[:, ::1], i8)", cache=True, counted=False)
+def mirror(N: F64, n: int) -> None:
+    """Fill the leading n×n below the diagonal from above it."""
+    for i in range(1, n):
+        for j in range(i):
+            N[i, j] = N[j, i]
+
+
+@njit("void(f8[:, ::1], i8[::1], i8, f8[:, ::1], f8[::1])", cache=True, counted=False)
+def dilution(G: F64, systems: I64, m: int, M: F64, out: F64) -> None:
     """GDOP, PDOP, HDOP, VDOP, TDOP into ``out`` (5,); :data:`NO_DOP` where there is none.
 
     ``G`` (m, 3): lines of sight towards the satellites, NED; a clock for each of ``systems`` (m,)
-    that occurs. GDOP = √tr (HᵀH)⁻¹, Sasiadek & Hartana 2004 eq. 8.
+    that occurs; ``M`` (8, 8) is scratch. GDOP = √tr (HᵀH)⁻¹, Sasiadek & Hartana 2004 eq. 8.
     """
     for i in range(5):
         out[i] = NO_DOP
-    M = np.zeros((8, 8))
-    column = np.full(8, -1)
+    M[:, :] = 0.0
     n = 3
-    h = np.zeros(8)
     for s in range(m):
-        if column[systems[s]] < 0:
-            column[systems[s]] = n
+        # Which column is a system's own stands in the last one until all are in.
+        k = int(M[systems[s], 7])
+        if k == 0:
+            k = n
+            M[systems[s], 7] = n
             n += 1
+        add_line(M, k, G[s], 1.0)
     if m < n:
         return
-    for s in range(m):
-        for i in range(n):
-            h[i] = -G[s, i] if i < 3 else 0.0
-        h[column[systems[s]]] = 1.0
-        for i in range(n):
-            for j in range(n):
-                M[i, j] += h[i] * h[j]
+    mirror(M, n)
     if not invert_spd(M, n):
         return
     time = 0.0
@@ -107,16 +130,7 @@ def dilution(G: F64, systems: I64, m: int, out: F64) -> None:
     out[HDOP], out[VDOP], out[TDOP] = math.sqrt(horizontal), math.sqrt(M[2, 2]), math.sqrt(time)
 
 
-@njit("void(f8[:, ::1], f8[:, ::1])", cache=True, entry=True)
-def lines_of_sight(sky: F64, lines: F64) -> None:
-    """``lines`` (M, 3): unit vectors towards azimuth and elevation ``sky`` (M, 2) [rad], NED."""
-    for s in range(sky.shape[0]):
-        flat = math.cos(sky[s, 1])
-        lines[s, 0], lines[s, 1] = flat * math.cos(sky[s, 0]), flat * math.sin(sky[s, 0])
-        lines[s, 2] = -math.sin(sky[s, 1])
-
-
-@njit("f8(f8[:, ::1], i8[::1], i8, i8, i8[::1])", cache=True, entry=True)
+@njit("f8(f8[:, ::1], i8[::1], i8, i8, i8[::1])", cache=True)
 def best_set(G: F64, systems: I64, m: int, count: int, best: I64) -> float:
     """The ``count`` of ``m`` satellites with the smallest GDOP, over all combinations.
 
@@ -127,14 +141,14 @@ def best_set(G: F64, systems: I64, m: int, count: int, best: I64) -> float:
     index = np.arange(count)
     sub = np.empty((count, 3))
     kinds = np.empty(count, np.int64)
-    dop = np.empty(5)
+    dop, M = np.empty(5), np.empty((8, 8))
     lowest = NO_DOP
     while True:
         for i in range(count):
             kinds[i] = systems[index[i]]
             for j in range(3):
                 sub[i, j] = G[index[i], j]
-        dilution(sub, kinds, count, dop)
+        dilution(sub, kinds, count, M, dop)
         if dop[GDOP] < lowest:
             lowest = dop[GDOP]
             for i in range(count):

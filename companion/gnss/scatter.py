@@ -18,18 +18,8 @@ from functools import cache
 import numpy as np
 
 from companion._jit import njit
-from companion.gnss.corrected import (
-    S_RANGE,
-    S_RANGE_VAR,
-    S_RATE,
-    S_RATE_VAR,
-    S_SYSTEM,
-    expected_range,
-    line_of_sight,
-    range_rate,
-)
-from companion.gnss.geometry import geodetic, invert_spd
-from companion.gnss.single_point import P_CLOCK, P_POS, P_RATE, P_VEL
+from companion.gnss.corrected import S_RANGE_VAR, S_RATE_VAR, S_SYSTEM
+from companion.gnss.sight import G_LEVER, G_RATE_LEVER, G_RATE_RESIDUAL, G_RESIDUAL
 from companion.gnss.systems import SYSTEMS
 from companion.types import F64, I64, SATELLITES
 
@@ -53,114 +43,83 @@ def trimmed_mean() -> F64:
     return np.asarray(1.0 - (F**powers * (1.0 - F)).sum(axis=1) * _STEP)
 
 
-@njit(
-    "void(f8[:, ::1], i8, b1, f8[::1], i8[::1], f8[:, ::1], f8[:, ::1])",
-    cache=True,
-)
-def _lines(
-    rows: F64, m: int, rate: bool, point: F64, column: I64, h: F64, y_var: F64
-) -> None:  # fmt: skip
-    """Lines ``h`` (m, 8), residuals and variances ``y_var`` (m, 2); NaN where a row has none."""
-    u, here = np.empty(3), np.empty(3)
-    x, v = point[P_POS : P_POS + 3], point[P_VEL : P_VEL + 3]
-    geodetic(x[0], x[1], x[2], here)
-    for s in range(m):
-        row = rows[s]
-        system = int(row[S_SYSTEM])
-        y_var[s, 0] = np.nan
-        if column[system] < 0:
-            continue
-        if rate:
-            line_of_sight(row, x[0], x[1], x[2], u)
-            y_var[s, 0] = row[S_RATE] - range_rate(row, u, x, v) - point[P_RATE]
-            y_var[s, 1] = row[S_RATE_VAR]
-        else:
-            y_var[s, 0] = row[S_RANGE] - expected_range(row, x, here, u) - point[P_CLOCK + system]
-            y_var[s, 1] = row[S_RANGE_VAR]
-        for i in range(8):
-            h[s, i] = -u[i] if i < 3 else 0.0
-        h[s, column[system]] = 1.0
-
-
-@njit("f8(f8[::1], i8, f8[:, ::1], f8, b1)", cache=True)
-def _share(h: F64, n: int, N: F64, var: float, inside: bool) -> float:
+@njit("f8(f8, f8, b1)", cache=True, counted=False)
+def _share(lever: float, var: float, inside: bool) -> float:
     """Variance of a residual in that of its measurement."""
-    leverage = 0.0
-    for i in range(n):
-        for j in range(n):
-            leverage += h[i] * N[i, j] * h[j]
-    return float(1.0 - leverage / var if inside else 1.0 + leverage / var)
+    return 1.0 - lever / var if inside else 1.0 + lever / var
 
 
-@njit("i8(i8, i8[::1], f8[:, ::1], f8[:, ::1], i8, f8[:, ::1])", cache=True)
-def _leave_out_worst(m: int, used: I64, h: F64, y_var: F64, n: int, N: F64) -> int:
+@njit(
+    "i8(f8[:, ::1], i8, i8[::1], f8[:, ::1], b1, i8[::1], f8[:, ::1], f8[::1])",
+    cache=True,
+    counted=False,
+)
+def _leave_out_worst(
+    rows: F64, m: int, used: I64, sight: F64, rate: bool, column: I64, N: F64, gain: F64
+) -> int:  # fmt: skip
     """Take the satellite that fits worst out of the solution, if it fits badly; its row, or −1.
 
-    ``N`` becomes the covariance without it, and residuals those about the solution without it: what
-    it pulled the others by is no noise of theirs.
+    Leverages become those without it, and residuals those about the solution without it: what it
+    pulled the others by is no noise of theirs.
     """
+    y_at, lever_at = (G_RATE_RESIDUAL, G_RATE_LEVER) if rate else (G_RESIDUAL, G_LEVER)
+    var_at = S_RATE_VAR if rate else S_RANGE_VAR
     worst, least = -1, SUSPECT
     for s in range(m):
-        y, var = y_var[s, 0], y_var[s, 1]
+        y, var = sight[s, y_at], rows[s, var_at]
         # Fits well whatever its leverage: most are cleared by this.
         if used[s] == 1 and y * y > SUSPECT * LEAST_REDUNDANCY * var:
-            share = _share(h[s], n, N, var, True)
+            share = _share(sight[s, lever_at], var, True)
             if share >= LEAST_REDUNDANCY and y * y > least * share * var:
                 worst, least = s, y * y / (share * var)
     if worst < 0:
         return worst
-    gain, left = np.zeros(8), y_var[worst, 1]
-    for i in range(n):
-        for j in range(n):
-            gain[i] += N[i, j] * h[worst, j]
-        left -= h[worst, i] * gain[i]
-    pull = y_var[worst, 0] / left
+    k = 3 if rate else column[int(rows[worst, S_SYSTEM])]
+    u = sight[worst]
+    for i in range(3 + SYSTEMS):
+        gain[i] = N[i, k] - N[i, 0] * u[0] - N[i, 1] * u[1] - N[i, 2] * u[2]
+    left = rows[worst, var_at] - u[lever_at]
+    pull = u[y_at] / left
     for s in range(m):
-        for i in range(n):
-            y_var[s, 0] += h[s, i] * gain[i] * pull
-    for i in range(n):
-        for j in range(n):
-            N[i, j] += gain[i] * gain[j] / left
+        k = 3 if rate else column[int(rows[s, S_SYSTEM])]
+        if k >= 0:
+            u = sight[s]
+            share = gain[k] - gain[0] * u[0] - gain[1] * u[1] - gain[2] * u[2]
+            u[y_at] += share * pull
+            u[lever_at] += share * share / left
     return worst
 
 
-@njit("void(f8[:, ::1], i8, i8[::1], f8[::1], f8[::1], f8[:, :, ::1])", cache=True, entry=True)
-def scatter(rows: F64, m: int, used: I64, point: F64, expected: F64, found: F64) -> None:
+@njit(
+    "void(f8[:, ::1], i8, i8[::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, :, ::1])",
+    cache=True,
+    counted=False,
+)
+def scatter(
+    rows: F64, m: int, used: I64, column: I64, sight: F64, work: F64, expected: F64, found: F64
+) -> None:
     """Fill ``found`` (2, SYSTEMS, 2) of range and rate: v·ν and ν of each system, zeros without.
 
-    ``rows``, ``m``, ``used``, ``point`` as :func:`companion.gnss.single_point.solve` left them;
+    ``rows``, ``m``, ``used``, ``column``, ``sight`` and ``work`` as
+    :func:`companion.gnss.single_point.solve` left them; ``sight`` is not to be used after this.
     ``expected``: of :func:`trimmed_mean`.
     """
-    h, y_var = np.empty((m, 8)), np.empty((m, 2))
-    N, column = np.empty((8, 8)), np.empty(SYSTEMS, np.int64)
     found[:, :, :] = 0.0
     for kind in range(2):
         rate = kind == 1
-        n = 4 if rate else 3
-        for c in range(SYSTEMS):
-            column[c] = 3 if rate else -1
-            if not rate and point[P_CLOCK + c] == point[P_CLOCK + c]:
-                column[c] = n
-                n += 1
-        _lines(rows, m, rate, point, column, h, y_var)
-        N[:, :] = 0.0
-        for s in range(m):
-            if used[s] == 1 and y_var[s, 0] == y_var[s, 0]:
-                for i in range(n):
-                    for j in range(n):
-                        N[i, j] += h[s, i] * h[s, j] / y_var[s, 1]
-        if not invert_spd(N, n):
-            continue
-        out = _leave_out_worst(m, used, h, y_var, n, N)
+        y_at, lever_at = (G_RATE_RESIDUAL, G_RATE_LEVER) if rate else (G_RESIDUAL, G_LEVER)
+        var_at = S_RATE_VAR if rate else S_RANGE_VAR
+        out = _leave_out_worst(rows, m, used, sight, rate, column, work[kind], work[2, 0])
         for c in range(SYSTEMS):
             total, largest, second, dof, count = 0.0, 0.0, 0.0, 0.0, 0
             for s in range(m):
-                if int(rows[s, S_SYSTEM]) != c or y_var[s, 0] != y_var[s, 0]:
+                y, var = sight[s, y_at], rows[s, var_at]
+                if int(rows[s, S_SYSTEM]) != c or math.isnan(y):
                     continue
-                share = _share(h[s], n, N, y_var[s, 1], used[s] == 1 and s != out)
+                share = _share(sight[s, lever_at], var, used[s] == 1 and s != out)
                 if share < LEAST_REDUNDANCY:
                     continue
-                e = y_var[s, 0] * y_var[s, 0] / (share * y_var[s, 1])
+                e = y * y / (share * var)
                 total += e
                 count += 1
                 dof += min(share, 1.0)

@@ -20,11 +20,18 @@ from companion.gnss.corrected import (
     S_RATE,
     S_RATE_VAR,
     S_SYSTEM,
-    expected_range,
-    line_of_sight,
     range_rate,
 )
-from companion.gnss.geometry import geodetic, invert_spd, ned_axes
+from companion.gnss.geometry import add_line, geodetic, invert_spd, mirror, ned_axes
+from companion.gnss.sight import (
+    G_LEVER,
+    G_RANGE,
+    G_RATE_LEVER,
+    G_RATE_RESIDUAL,
+    G_RESIDUAL,
+    look,
+    stand,
+)
 from companion.gnss.systems import SYSTEMS
 from companion.types import F64, I64
 
@@ -45,171 +52,263 @@ NaN where unknown."""
 SOLVED, TOO_FEW, SINGULAR, FAULTY = 0, 1, 2, 3
 """FAULTY: the ranges contradict each other, and too few agree to tell which are wrong."""
 TURNS = 12
-_EARTH = 1e6
+NEAR_M2 = 40.0
+"""Square of a step after which lines of sight need no further look. A step of d leaves d² / 4e7 m
+and, as the troposphere's change with height is not in the lines, up to d / 1000; a step more with
+the same matrix leaves a thousandth of that, 1e-5 m."""
+
+
+@njit("f8(f8[:, ::1], i8, f8[::1])", cache=True, counted=False)
+def leverage(N: F64, k: int, u: F64) -> float:
+    """h N hᵀ of the line h that :func:`companion.gnss.geometry.add_line` adds."""
+    total = N[k, k]
+    for i in range(3):
+        total += u[i] * (N[i, 0] * u[0] + N[i, 1] * u[1] + N[i, 2] * u[2] - 2.0 * N[i, k])
+    return float(total)
+
+
+@njit("i8(f8[:, ::1], i8, i8[::1], i8[::1])", cache=True, counted=False)
+def _unknowns(rows: F64, m: int, used: I64, column: I64) -> int:
+    """``column`` (SYSTEMS,) of each system's clock, −1 without one in use; how many there are."""
+    column[:] = -1
+    n = 3
+    for s in range(m):
+        system = int(rows[s, S_SYSTEM])
+        if used[s] == 1 and column[system] < 0:
+            column[system] = n
+            n += 1
+    return n
+
+
+@njit("b1(f8[:, ::1], i8, i8[::1], i8[::1], i8, f8[:, ::1], f8[:, ::1])", cache=True, counted=False)
+def _normal(
+    rows: F64, m: int, used: I64, column: I64, n: int, sight: F64, N: F64
+) -> bool:  # fmt: skip
+    """Fill ``N`` (8, 8) with the inverse normal matrix; false where there is none."""
+    N[:, :] = 0.0
+    for s in range(m):
+        if used[s] == 1:
+            k = column[int(rows[s, S_SYSTEM])]
+            add_line(N, k, sight[s], 1.0 / rows[s, S_RANGE_VAR])
+    mirror(N, n)
+    return invert_spd(N, n)
 
 
 @njit(
-    "void(f8[:, ::1], i8, i8[::1], i8[::1], i8, f8[::1], f8[:, ::1], f8[::1], f8[::1])", cache=True
+    "f8(f8[:, ::1], i8, i8[::1], i8[::1], i8, f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1])",
+    cache=True,
+    counted=False,
 )
-def _residuals(
-    rows: F64, m: int, used: I64, column: I64, n: int, x: F64, N: F64, w: F64, point: F64
-) -> None:
-    """Sum of squares, and ``w``: each residual against what it may be by its own leverage."""
-    here, u, h = np.zeros(3), np.empty(3), np.zeros(8)
-    geodetic(x[0], x[1], x[2], here)
-    total = 0.0
+def _step(
+    rows: F64, m: int, used: I64, column: I64, n: int, sight: F64, N: F64, x: F64, b: F64, dx: F64
+) -> float:  # fmt: skip
+    """Move ``x`` (8,) by ``dx``, a step of Gauss and Newton; its square in place [m²]."""
+    b[:] = 0.0
     for s in range(m):
         if used[s] == 0:
             continue
         k = column[int(rows[s, S_SYSTEM])]
-        y = rows[s, S_RANGE] - expected_range(rows[s], x[:3], here, u) - x[k]
-        for i in range(n):
-            h[i] = -u[i] if i < 3 else 0.0
-        h[k] = 1.0
-        explained = 0.0
-        for i in range(n):
-            for j in range(n):
-                explained += h[i] * N[i, j] * h[j]
-        var = rows[s, S_RANGE_VAR]
-        total += y * y / var
-        # With no redundancy in it, a measurement cannot be judged: its residual is zero anyway.
-        w[s] = y * y / (var - explained) if var - explained > 1e-3 * var else 0.0
-    point[P_SUM] = total
+        y = (rows[s, S_RANGE] - sight[s, G_RANGE] - x[k]) / rows[s, S_RANGE_VAR]
+        b[0] -= sight[s, 0] * y
+        b[1] -= sight[s, 1] * y
+        b[2] -= sight[s, 2] * y
+        b[k] += y
+    for i in range(n):
+        dx[i] = 0.0
+        for j in range(n):
+            dx[i] += N[i, j] * b[j]
+        x[i] += dx[i]
+    return float(dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2])
 
 
-@njit("void(f8[:, ::1], i8, i8[::1], b1, f8[::1], f8[:, ::1], f8[::1])", cache=True)
-def _velocity(rows: F64, m: int, used: I64, rates: bool, x: F64, N: F64, point: F64) -> None:
-    """Velocity and clock rate: linear in the rates, one clock for all systems."""
-    for i in range(4):
-        point[P_VEL + i] = np.nan
-    u, h, b, still = np.empty(3), np.zeros(4), np.zeros(4), np.zeros(3)
-    N[:, :] = 0.0
+@njit(
+    "f8(f8[:, ::1], i8, i8[::1], i8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
+    cache=True,
+    counted=False,
+)
+def _residuals(rows: F64, m: int, used: I64, column: I64, x: F64, N: F64, sight: F64) -> float:
+    """Residuals and leverages of all ranges into ``sight``; weighted sum of squares of the used.
+
+    NaN where the system of a satellite has no clock.
+    """
+    total = 0.0
+    for s in range(m):
+        k = column[int(rows[s, S_SYSTEM])]
+        if k < 0:
+            sight[s, G_RESIDUAL] = sight[s, G_LEVER] = np.nan
+            continue
+        y = rows[s, S_RANGE] - sight[s, G_RANGE] - x[k]
+        sight[s, G_RESIDUAL], sight[s, G_LEVER] = y, leverage(N, k, sight[s])
+        if used[s] == 1:
+            total += y * y / rows[s, S_RANGE_VAR]
+    return total
+
+
+@njit(
+    "void(f8[:, ::1], i8, i8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1])",
+    cache=True,
+    counted=False,
+)
+def _velocity(rows: F64, m: int, used: I64, sight: F64, b: F64, R: F64, point: F64) -> None:
+    """Velocity and clock rate into ``point``: linear in the rates, one clock for all systems.
+
+    ``R`` (8, 8) receives their covariance; residuals and leverages of the rates go to ``sight``.
+    """
+    x, v = point[P_POS : P_POS + 3], point[P_VEL : P_VEL + 3]
+    R[:, :] = 0.0
+    b[:] = 0.0
+    v[:] = 0.0
     count = 0
     for s in range(m):
-        if used[s] == 0 or not rates or math.isnan(rows[s, S_RATE]):
+        if used[s] == 0 or math.isnan(rows[s, S_RATE]):
             continue
-        line_of_sight(rows[s], x[0], x[1], x[2], u)
-        y = rows[s, S_RATE] - range_rate(rows[s], u, x, still)
-        v = 1.0 / rows[s, S_RATE_VAR]
-        h[0], h[1], h[2], h[3] = -u[0], -u[1], -u[2], 1.0
+        w = 1.0 / rows[s, S_RATE_VAR]
+        y = w * (rows[s, S_RATE] - range_rate(rows[s], sight[s], x, v))
+        add_line(R, 3, sight[s], w)
+        b[0] -= sight[s, 0] * y
+        b[1] -= sight[s, 1] * y
+        b[2] -= sight[s, 2] * y
+        b[3] += y
         count += 1
-        for i in range(4):
-            b[i] += h[i] * v * y
-            for j in range(4):
-                N[i, j] += h[i] * v * h[j]
-    if count < 4 or not invert_spd(N, 4):
-        return
+    mirror(R, 4)
+    known = count >= 4 and invert_spd(R, 4)
     for i in range(4):
         total = 0.0
         for j in range(4):
-            total += N[i, j] * b[j]
-        point[P_VEL + i] = total
+            total += R[i, j] * b[j]
+        point[P_VEL + i] = total if known else np.nan
     for i in range(3):
         for j in range(3):
-            point[P_COV_VEL + 3 * i + j] = N[i, j]
+            point[P_COV_VEL + 3 * i + j] = R[i, j] if known else np.nan
+    for s in range(m):
+        # NaN where there is no velocity or no rate.
+        foreseen = range_rate(rows[s], sight[s], x, v) + point[P_RATE]
+        sight[s, G_RATE_RESIDUAL] = rows[s, S_RATE] - foreseen
+        sight[s, G_RATE_LEVER] = leverage(R, 3, sight[s]) if known else np.nan
 
 
-@njit("i8(f8[:, ::1], i8, i8[::1], b1, f8[::1], f8[::1], f8[:, ::1], f8[::1])", cache=True)
-def least_squares(
-    rows: F64, m: int, used: I64, rates: bool, start: F64, point: F64, N: F64, w: F64
-) -> int:
+@njit(
+    "i8(f8[:, ::1], i8, i8[::1], f8[::1], b1, f8[::1], f8[:, ::1], f8[:, :, ::1], i8[::1], "
+    "f8[::1])",
+    cache=True,
+    counted=False,
+)
+def _least_squares(
+    rows: F64, m: int, used: I64, start: F64, seen: bool, frame: F64, sight: F64, work: F64,
+    column: I64, point: F64,
+) -> int:  # fmt: skip
     """Gauss-Newton on the ranges of the ``used`` (m,) rows, then the rates; see :func:`solve`.
 
-    ``N`` (8, 8) receives the inverse normal matrix, ``w`` (m,) the squared normalised residuals.
+    ``seen``: ``sight`` holds lines and ranges from ``start`` already.
     """
-    column = np.full(SYSTEMS, -1)
-    n, count = 3, 0
+    N, R, x, b, dx = work[0], work[1], work[2, 0], work[2, 1], work[2, 2]
+    n, count = _unknowns(rows, m, used, column), 0
     for s in range(m):
-        if used[s] == 1:
-            count += 1
-            system = int(rows[s, S_SYSTEM])
-            if column[system] < 0:
-                column[system] = n
-                n += 1
+        count += used[s]
     point[P_DOF] = count - n
     if count < n:
         return TOO_FEW
-    x, here, u = np.zeros(8), np.zeros(3), np.empty(3)
-    h, b = np.zeros(8), np.zeros(8)
+    x[:] = 0.0
     for i in range(3):
         x[i] = start[i]
+    moved, outside = -1.0, True
     for turn in range(TURNS):
-        # The troposphere of a point that is still somewhere in the Earth means nothing.
-        near = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]) > _EARTH
-        if near:
-            geodetic(x[0], x[1], x[2], here)
-        N[:, :] = 0.0
-        b[:] = 0.0
-        for s in range(m):
-            if used[s] == 0:
-                continue
-            if near:
-                r = expected_range(rows[s], x[:3], here, u)
-            else:
-                r = line_of_sight(rows[s], x[0], x[1], x[2], u)
-            k = column[int(rows[s, S_SYSTEM])]
-            for i in range(n):
-                h[i] = -u[i] if i < 3 else 0.0
-            h[k] = 1.0
-            v = 1.0 / rows[s, S_RANGE_VAR]
-            y = rows[s, S_RANGE] - r - x[k]
-            w[s] = y
-            for i in range(n):
-                b[i] += h[i] * v * y
-                for j in range(n):
-                    N[i, j] += h[i] * v * h[j]
-        if not invert_spd(N, n):
+        if turn > 0 or not seen:
+            outside = stand(x[0], x[1], x[2], frame)
+            look(rows, m, x, frame, sight)
+        if not _normal(rows, m, used, column, n, sight, N):
             return SINGULAR
-        moved = 0.0
-        for i in range(n):
-            dx = 0.0
-            for j in range(n):
-                dx += N[i, j] * b[j]
-            x[i] += dx
-            if i < 3:
-                moved += dx * dx
-        # A step of d leaves d² / 4e7 m.
-        if moved < 1e-4 and turn > 0:
+        moved = _step(rows, m, used, column, n, sight, N, x, b, dx)
+        if outside and moved < NEAR_M2:
             break
-    else:
+    if not (outside and moved < NEAR_M2):
         return SINGULAR
-    _residuals(rows, m, used, column, n, x, N, w, point)
+    stand(x[0], x[1], x[2], frame)
+    look(rows, m, x, frame, sight)
+    # What that leaves: a step more with the same matrix, too short to look again.
+    _step(rows, m, used, column, n, sight, N, x, b, dx)
+    for s in range(m):
+        for i in range(3):
+            sight[s, G_RANGE] -= sight[s, i] * dx[i]
+    point[P_SUM] = _residuals(rows, m, used, column, x, N, sight)
     for i in range(3):
         point[P_POS + i] = x[i]
         for j in range(3):
             point[P_COV + 3 * i + j] = N[i, j]
     for k in range(SYSTEMS):
         point[P_CLOCK + k] = x[column[k]] if column[k] >= 0 else np.nan
-    _velocity(rows, m, used, rates, x[:3].copy(), N, point)
+    _velocity(rows, m, used, sight, b, R, point)
     return SOLVED
 
 
-@njit("i8(f8[:, ::1], i8, f8[::1], f8[::1], f8[::1], i8[::1])", cache=True, entry=True)
-def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> int:
+@njit("i8(f8[:, ::1], i8, i8[::1], i8[::1])", cache=True, counted=False)
+def _redundancy(rows: F64, m: int, used: I64, count: I64) -> int:
+    """Fill ``used``: all but the only one of its system; how many ranges more than unknowns.
+
+    The only satellite of its system just fixes that system's clock. ``count`` (SYSTEMS,) is
+    scratch.
+    """
+    count[:] = 0
+    for s in range(m):
+        count[int(rows[s, S_SYSTEM])] += 1
+    for s in range(m):
+        used[s] = 1 if count[int(rows[s, S_SYSTEM])] > 1 else 0
+    spare = -3
+    for k in range(SYSTEMS):
+        spare += count[k] - 1 if count[k] > 1 else 0
+    return spare
+
+
+@njit("void(f8[:, ::1], i8, i8[::1], f8[:, ::1])", cache=True, counted=False)
+def _leave_out_worst(rows: F64, m: int, used: I64, sight: F64) -> None:
+    """Take the largest normalised residual out of ``used``, and whom it leaves alone of a system.
+
+    With no redundancy in it, a measurement cannot be judged: its residual is zero anyway.
+    """
+    worst, largest = -1, -1.0
+    for s in range(m):
+        if used[s] == 0:
+            continue
+        y, var = sight[s, G_RESIDUAL], rows[s, S_RANGE_VAR]
+        left = var - sight[s, G_LEVER]
+        w = y * y / left if left > 1e-3 * var else 0.0
+        if worst < 0 or w > largest:
+            worst, largest = s, w
+    used[worst] = 0
+    system, others = rows[worst, S_SYSTEM], 0
+    for s in range(m):
+        if rows[s, S_SYSTEM] == system:
+            others += used[s]
+    if others == 1:
+        for s in range(m):
+            if rows[s, S_SYSTEM] == system:
+                used[s] = 0
+
+
+@njit(
+    "i8(f8[:, ::1], i8, f8[::1], b1, f8[::1], f8[::1], f8[:, ::1], f8[:, :, ::1], i8[::1], "
+    "f8[::1], i8[::1])",
+    cache=True,
+    counted=False,
+)
+def solve(
+    rows: F64, m: int, start: F64, known: bool, gates: F64, frame: F64, sight: F64, work: F64,
+    column: I64, point: F64, used: I64,
+) -> int:  # fmt: skip
     """Solve one epoch of ``m`` corrected satellites, leaving out those at fault.
 
-    ``start`` (3,): ECEF guess; zeros will do, for a place to begin from, which needs no majority.
-    ``gates`` (D,): limit of the sum of squared residuals for 1…D degrees of freedom. ``point``
-    (:data:`POINT_SIZE`,) is filled; ``used`` (m,) says whom it rests on: 1 used, 0 left out.
+    ``start`` (3,): ECEF guess; zeros will do, and is not ``known`` then: for a place to begin from,
+    which needs no majority. ``frame``, ``sight`` (m, ·) of :mod:`companion.gnss.sight` are filled
+    from a known start, and are those of the solution when it is there. ``gates`` (D,): limit of the
+    sum of squared residuals for 1…D degrees of freedom. ``point`` (:data:`POINT_SIZE`,) is filled;
+    ``used`` (m,) says whom it rests on: 1 used, 0 left out. Of ``work`` (3, 8, 8) the first two are
+    the covariances of place and clocks, whose columns ``column`` (SYSTEMS,) tells, and of velocity.
     Returns :data:`SOLVED` or why not.
     """
-    N, w = np.zeros((8, 8)), np.zeros(m)
-    seen = np.zeros(SYSTEMS, np.int64)
-
-    for s in range(m):
-        used[s] = 1 if rows[s, S_RANGE] == rows[s, S_RANGE] else 0
-        seen[int(rows[s, S_SYSTEM])] += used[s]
-    # The only satellite of its system just fixes that system's clock.
-    for s in range(m):
-        if seen[int(rows[s, S_SYSTEM])] == 1:
-            used[s] = 0
-    # From nowhere, nothing is corrected that depends on elevation: any agreement is a beginning.
-    lenient = start[0] == 0.0 and start[1] == 0.0
-    spare, excluded = -3, 0
-    for k in range(SYSTEMS):
-        spare += seen[k] - 1 if seen[k] > 1 else 0
+    spare, excluded = _redundancy(rows, m, used, column), 0
     while True:
-        code = least_squares(rows, m, used, True, start, point, N, w)
+        seen = known and excluded == 0
+        code = _least_squares(rows, m, used, start, seen, frame, sight, work, column, point)
         if code != SOLVED:
             return code
         dof = int(point[P_DOF])
@@ -219,21 +318,10 @@ def solve(rows: F64, m: int, start: F64, gates: F64, point: F64, used: I64) -> i
         # point of a regression; Rousseeuw and Leroy 1987, section 3.4): what then agrees need not
         # be right. A receiver's time that is off by a second looks like that.
         excluded += 1
-        if dof < 2 or (2 * excluded > spare and not lenient):
+        # From nowhere, nothing is corrected that depends on elevation: any agreement is a start.
+        if dof < 2 or (2 * excluded > spare and known):
             return FAULTY
-        worst = -1
-        for s in range(m):
-            if used[s] == 1 and (worst < 0 or w[s] > w[worst]):
-                worst = s
-        used[worst] = 0
-        system, left = int(rows[worst, S_SYSTEM]), 0
-        for s in range(m):
-            if used[s] == 1 and int(rows[s, S_SYSTEM]) == system:
-                left += 1
-        if left == 1:
-            for s in range(m):
-                if int(rows[s, S_SYSTEM]) == system:
-                    used[s] = 0
+        _leave_out_worst(rows, m, used, sight)
 
 
 @njit("void(f8[:, ::1], f8[:, ::1])", cache=True, entry=True)

@@ -9,15 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from companion.config import Config
 from companion.estimation.adaptation.constellations import Constellations
+from companion.gnss.broadcast import NUMBERS
 from companion.gnss.corrected import S_RANGE_VAR, S_SAT, S_SYSTEM
-from companion.gnss.receiver import Prepared, Receiver
 from companion.gnss.single_point import FIX_SIZE, as_fixes
+from companion.intake.raw_gnss.epochs import Epochs
+from companion.intake.raw_gnss.receiver import Receiver
+from companion.intake.raw_gnss.state import Z_EXCLUDED
 from companion.types import (
     F64,
     I64,
@@ -27,6 +31,7 @@ from companion.types import (
     AidingSamples,
     BroadcastSamples,
     Event,
+    Flags,
     GnssSamples,
     RawGnssSamples,
     Samples,
@@ -38,8 +43,8 @@ SINGLE_POINT = "single point"
 SHORTEST_S, LONE_S = 0.01, 1.0
 """Between epochs: the least that is believed; what is taken for the first one."""
 
-
 NO_ADAPTATION = AdaptationTrace.empty()
+_RAW = RawGnssSamples | BroadcastSamples
 
 
 class Said(NamedTuple):
@@ -53,16 +58,16 @@ class Said(NamedTuple):
 SILENT = Said((), NO_SATELLITES)
 
 
-def _said(prepared: list[Prepared]) -> Said:
-    if not prepared:
+def _said(made: list[Epochs]) -> Said:
+    if not made:
         return SILENT
     return Said(
-        tuple(event for p in prepared for event in p.events),
+        tuple(event for epochs in made for event in epochs.events),
         Satellites(
-            np.array([p.t_ns for p in prepared], np.int64),
-            np.array([len(p.rows) for p in prepared], np.int64),
-            np.array([len(p.excluded) for p in prepared], np.int64),
-            np.stack([p.dop for p in prepared]),
+            np.concatenate([epochs.t_ns for epochs in made]),
+            np.concatenate([epochs.counts for epochs in made]),
+            np.concatenate([epochs.state[:, Z_EXCLUDED] for epochs in made]),
+            np.concatenate([epochs.dops for epochs in made]),
         ),
     )
 
@@ -102,86 +107,118 @@ class RangeIntake:
         """Whether raw measurements are used; other fixes are not, then: they are the same news."""
         return self._coupling != "off"
 
-    def _inflation(self, t_ns: int) -> float:
-        """Factor on the variance of ranges for what of their error lasts from epoch to epoch.
+    def _inflation(self, t_ns: I64) -> F64:
+        """(N,) factors on the variance of ranges for what of their error lasts from epoch to epoch.
 
         Errors that follow each other by φ = exp(−Δt/τ) tell, in the mean of many, as much as white
         ones of (1 + φ) / (1 − φ) times their variance. A filter that took them for white would
         believe the mean of 20 s a hundred times too much.
         """
-        dt = LONE_S if self._last_ns is None else abs(t_ns - self._last_ns) / NS
-        self._last_ns = t_ns
-        phi = math.exp(-max(dt, SHORTEST_S) / self._slow_tau_s)
-        return 1.0 + self._slow_share * ((1.0 + phi) / (1.0 - phi) - 1.0)
+        found = np.empty(len(t_ns))
+        for i, t in enumerate(t_ns.tolist()):
+            dt = LONE_S if self._last_ns is None else abs(t - self._last_ns) / NS
+            self._last_ns = t
+            phi = math.exp(-max(dt, SHORTEST_S) / self._slow_tau_s)
+            found[i] = 1.0 + self._slow_share * ((1.0 + phi) / (1.0 - phi) - 1.0)
+        return found
 
     def take(
         self, arrivals: Sequence[AidingSamples]
     ) -> tuple[list[AidingSamples | RangeSamples], Said]:
         """``arrivals`` with fixes and ranges in place of raw measurements, and what to say."""
-        raw = [a for a in arrivals if isinstance(a, RawGnssSamples | BroadcastSamples)]
-        others = [a for a in arrivals if not isinstance(a, RawGnssSamples | BroadcastSamples)]
         if not self.on:
-            return [*others], SILENT
-        prepared: list[tuple[Prepared, RawGnssSamples, int]] = []
-        order = [(int(seq), n, m) for n, a in enumerate(raw) for m, seq in enumerate(a.seq)]
-        for _, n, m in sorted(order):
-            arrival = raw[n]
-            if isinstance(arrival, BroadcastSamples):
-                self.receiver.listen(arrival.take(slice(m, m + 1)))
-            else:
-                prepared.append((self.receiver.take(arrival, m), arrival, m))
-        others = [a for a in others if not isinstance(a, GnssSamples)]
-        made: list[AidingSamples | RangeSamples] = [*others]
+            return [a for a in arrivals if not isinstance(a, _RAW)], SILENT
+        epochs = self._epochs([a for a in arrivals if isinstance(a, _RAW)])
+        made: list[AidingSamples | RangeSamples] = [
+            a for a in arrivals if not isinstance(a, GnssSamples | _RAW)
+        ]
+        if not epochs:
+            return made, SILENT
         tight = self._coupling == "tight"
         # The clock is let go by the first row of its epoch, which a fix must not precede.
-        fixes = [
-            (p.point, a, m)
-            for p, a, m in prepared
-            if p.point is not None and not (tight and p.let_go)
-        ]
-        if fixes:
-            made.append(_fixes(fixes))
-        if tight and any(len(p.rows) for p, _, _ in prepared):
-            made.append(_ranges(prepared, [self._inflation(p.t_ns) for p, _, _ in prepared]))
-        said = _said([p for p, _, _ in prepared])
-        if self._trust is None or not prepared:
+        fixed = [e.solved & ~(e.let_go & tight) for e in epochs]
+        if any(some.any() for some in fixed):
+            made.append(_fixes(epochs, fixed))
+        if tight and any(len(e.rows) for e in epochs):
+            made.append(self._ranges(epochs))
+        said = _said(epochs)
+        if self._trust is None:
             return made, said
         return made, said._replace(adaptation=self._trust.take_trace())
 
+    def _epochs(self, arrivals: list[RawGnssSamples | BroadcastSamples]) -> list[Epochs]:
+        """Epochs prepared in the stream's order, in as few runs as its messages allow."""
+        if not arrivals:
+            return []
+        who = np.repeat(np.arange(len(arrivals)), [len(a) for a in arrivals])
+        row = np.concatenate([np.arange(len(a)) for a in arrivals])
+        order = np.argsort(np.concatenate([a.seq for a in arrivals]), kind="stable")
+        who, row = who[order], row[order]
+        spoken = np.array([isinstance(a, BroadcastSamples) for a in arrivals])[who]
+        made: list[Epochs] = []
+        done = 0
+        for at in np.flatnonzero(spoken).tolist():
+            message = arrivals[who[at]].take(slice(row[at], row[at] + 1))
+            # One that repeats what is known does not have to wait for the epochs before it.
+            if isinstance(message, BroadcastSamples) and not self.receiver.repeats(message):
+                made += self._prepared(arrivals, who[done:at], row[done:at])
+                self.receiver.listen(message)
+                done = at
+        return made + self._prepared(arrivals, who[done:], row[done:])
 
-def _stamps(arrival: RawGnssSamples, m: int) -> tuple[int, int, int]:
-    return int(arrival.t_ns[m]), int(arrival.t_rx_ns[m]), int(arrival.seq[m])
+    def _prepared(
+        self, arrivals: list[RawGnssSamples | BroadcastSamples], who: I64, row: I64
+    ) -> list[Epochs]:
+        """The epochs among rows ``row`` of arrivals ``who``, in this order."""
+        made: list[Epochs] = []
+        raw = np.array([isinstance(a, RawGnssSamples) for a in arrivals])[who]
+        who, row = who[raw], row[raw]
+        cuts = [0, *(np.flatnonzero(np.diff(who)) + 1).tolist(), len(who)]
+        for begin, end in pairwise(cuts):
+            if end > begin:
+                arrival = arrivals[who[begin]]
+                assert isinstance(arrival, RawGnssSamples)
+                made.append(
+                    self.receiver.prepare(arrival.take(slice(row[begin], row[end - 1] + 1)))
+                )
+        return made
+
+    def _ranges(self, made: list[Epochs]) -> RangeSamples:
+        """Satellites of each epoch by number, the order in which they are fused."""
+        counts = np.concatenate([e.counts for e in made])
+        rows = np.concatenate([e.rows for e in made])
+        epoch = np.repeat(np.arange(len(counts)), counts)
+        key = epoch * NUMBERS + rows[:, S_SAT].astype(np.int64)
+        if (np.diff(key) < 0).any():
+            rows = rows[np.argsort(key, kind="stable")]
+        # What a system scatters more than configured is taken for white: it is not inflated.
+        t_ns = np.concatenate([e.t_ns for e in made])
+        factors = np.concatenate([e.trusted for e in made])
+        inflation = np.ones(len(counts))
+        inflation[counts > 0] = self._inflation(t_ns[counts > 0])
+        inflation = (inflation[:, None] + factors - 1.0) / factors
+        rows[:, S_RANGE_VAR] *= inflation[epoch, rows[:, S_SYSTEM].astype(np.int64)]
+        let_go = np.zeros(len(rows))
+        first = np.cumsum(counts) - counts
+        jumped = np.concatenate([e.let_go for e in made]) & (counts > 0)
+        let_go[first[jumped]] = 1.0
+        rx, seq = (np.concatenate([getattr(e, n) for e in made]) for n in ("t_rx_ns", "seq"))
+        scale = np.concatenate([e.clock_scales for e in made])[epoch]
+        return RangeSamples(made[0].source, t_ns[epoch], rx[epoch], seq[epoch], rows, let_go, scale)
 
 
-def _ranges(
-    prepared: list[tuple[Prepared, RawGnssSamples, int]], inflation: list[float]
-) -> RangeSamples:
-    """Satellites of each epoch by number, the order in which they are fused."""
-    counts = np.array([len(p.rows) for p, _, _ in prepared])
-    rows = np.concatenate([p.rows for p, _, _ in prepared])
-    epoch = np.repeat(np.arange(len(prepared)), counts)
-    rows = rows[np.lexsort((rows[:, S_SAT], epoch))]
-    # What a system scatters more than configured is taken for white: it is not inflated.
-    factors = np.stack([p.factors for p, _, _ in prepared])[epoch, rows[:, S_SYSTEM].astype(int)]
-    rows[:, S_RANGE_VAR] *= (np.array(inflation)[epoch] + factors - 1.0) / factors
-    let_go = np.zeros(len(rows))
-    first = np.cumsum(counts) - counts
-    let_go[first[[p.let_go and n > 0 for (p, _, _), n in zip(prepared, counts, strict=True)]]] = 1.0
-    t, rx, seq = np.array([_stamps(a, m) for _, a, m in prepared], np.int64)[epoch].T
-    source = prepared[0][1].source
-    clock_scale = np.stack([p.clock_scale for p, _, _ in prepared])[epoch]
-    return RangeSamples(source, t.copy(), rx.copy(), seq.copy(), rows, let_go, clock_scale)
-
-
-def _fixes(points: list[tuple[F64, RawGnssSamples, int]]) -> GnssSamples:
+def _fixes(made: list[Epochs], which: list[Flags]) -> GnssSamples:
     """Least-squares solutions as fixes, with the deviations that they state."""
+    points, t_ns, t_rx_ns, seq = (
+        np.concatenate([getattr(e, name)[some] for e, some in zip(made, which, strict=True)])
+        for name in ("points", "t_ns", "t_rx_ns", "seq")
+    )
     n = len(points)
     fixes = np.empty((n, FIX_SIZE))
-    as_fixes(np.stack([point for point, _, _ in points]), fixes)
-    stamps = np.array([_stamps(a, m) for _, a, m in points], np.int64).T
+    as_fixes(points, fixes)
     lat, lon, height = fixes[:, :3].T.copy()
     return GnssSamples(
-        SINGLE_POINT, stamps[0].copy(), stamps[1].copy(), stamps[2].copy(), lat, lon, height,
+        SINGLE_POINT, t_ns, t_rx_ns, seq, lat, lon, height,
         fixes[:, 3:6].copy(), fixes[:, 6:9].copy(), fixes[:, 9:].copy(),
         np.full(n, -1, np.int64), np.full(n, 3, np.int64),
     )  # fmt: skip

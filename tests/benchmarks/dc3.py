@@ -24,8 +24,8 @@ from companion.gnss.clock_noise import Q_BIAS, Q_DRIFT
 from companion.gnss.corrected import ROW_SIZE
 from companion.gnss.geometry import ned_axes
 from companion.gnss.gps_time import gps_ns
-from companion.gnss.receiver import Receiver
 from companion.gnss.single_point import P_CLOCK, P_POS
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation.earth import ecef
 from companion.types import F64, RawGnssSamples
 from replay.raw_gnss.epochs import Epoch, Observation, broadcast_samples, raw_samples

@@ -22,9 +22,9 @@ import pyrtklib as rk
 from companion.config import DEG, RawGnss
 from companion.gnss import orbit as ob
 from companion.gnss.geometry import ned_axes
-from companion.gnss.receiver import Receiver
 from companion.gnss.single_point import P_COV, P_POS
 from companion.gnss.systems import BEIDOU, GALILEO, GPS
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation.earth import ecef
 from companion.types import F64, NS, BroadcastSamples, RawGnssSamples
 from replay.raw_gnss.android import read_gnss_logger

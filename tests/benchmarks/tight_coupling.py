@@ -18,7 +18,7 @@ import numpy as np
 
 from companion.config import Config, RawGnss, parse
 from companion.gnss.corrected import S_SAT
-from companion.gnss.receiver import Receiver
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation.earth import ned_difference
 from companion.smoothing.offline import smooth
 from companion.types import F64, I64, NS, Outputs, RawGnssSamples, Solution, VehicleRecording

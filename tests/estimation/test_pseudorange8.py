@@ -8,7 +8,7 @@ from scipy.integrate import quad_vec
 
 from companion.config import RawGnss
 from companion.estimation.pseudorange8 import EightState, Tuning, process_noise, transition
-from companion.gnss.receiver import Receiver
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation.earth import ecef
 from companion.types import F64
 from replay.reproduce.sasiadek import flight as air

@@ -12,8 +12,9 @@ from companion.config import RawGnss
 from companion.gnss import orbit as ob
 from companion.gnss.geometry import ned_axes
 from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, leap_seconds
-from companion.gnss.receiver import Prepared, Receiver
 from companion.gnss.single_point import P_POS
+from companion.intake.raw_gnss.epochs import Prepared
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation.earth import ecef
 from companion.types import F64, NS, BroadcastSamples, RawGnssSamples
 from replay.simulator.constellation import Sky, observe

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
 from companion.config import Config, RawGnss
 from companion.estimation.adaptation.constellations import Constellations
-from companion.gnss.receiver import Receiver
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.types import F64, Channel
 from replay.simulator.constellation import SatelliteFault, SystemNoise
 
@@ -17,27 +18,21 @@ NOISE = RawGnss(sd_range_m=0.7, sd_multipath_m=0.0, sd_rate_mps=0.04, iono_resid
 GPS, GALILEO, BEIDOU = range(3)
 
 
-class _Told:
-    """Keeps what is found and trusts as before."""
-
-    def __init__(self) -> None:
-        self.factors: F64 = np.ones((2, 3))
-        self.found: list[tuple[int, F64]] = []
-
-    def learn(self, t_ns: int, found: F64) -> None:
-        self.found.append((t_ns, found))
+# Factors stay at 1: what is found is not what an adapted R has made of it.
+TRUSTING = msgspec.convert(
+    {"adaptation": {"fuzzy": {"r_min": 1.0, "r_max": 1.0}}, "raw_gnss": msgspec.to_builtins(NOISE)},
+    Config,
+)
 
 
 def _scatter(seconds: int, **sky: object) -> F64:
     """(2, 3) mean of v over the epochs, weighted by redundancy."""
-    told = _Told()
     made = sky_of(seconds, **sky)
-    receiver = Receiver(NOISE, told)
+    receiver = Receiver(NOISE, Constellations(TRUSTING))
     receiver.listen(made.broadcast)
-    for i in range(len(made.raw)):
-        receiver.take(made.raw, i)
-    total = np.sum([found for _, found in told.found], axis=0)
-    assert [t for t, _ in told.found] == made.raw.t_ns.tolist()
+    found = receiver.prepare(made.raw).found
+    assert (found[:, 0, :, 1].sum(axis=1) > 0.0).all()
+    total = found.sum(axis=0)
     return np.asarray(total[:, :, 0] / total[:, :, 1])
 
 

@@ -41,13 +41,13 @@ def _textbook(lines: F64, systems: I64) -> F64:
 
 
 def test_dilution_is_the_textbooks_with_one_clock_and_with_two() -> None:
-    out = np.empty(5)
+    out, scratch = np.empty(5), np.empty((8, 8))
     for seed in range(20):
         lines, systems = _sky(seed, 9)
         for kinds in (systems, np.zeros(9, np.int64)):
-            dilution(lines, kinds, 9, out)
+            dilution(lines, kinds, 9, scratch, out)
             assert out == pytest.approx(_textbook(lines, kinds), rel=1e-9)
-    dilution(lines[:3].copy(), np.zeros(3, np.int64), 3, out)
+    dilution(lines[:3].copy(), np.zeros(3, np.int64), 3, scratch, out)
     assert (out == NO_DOP).all()
 
 

@@ -12,8 +12,9 @@ from companion.config import RawGnss
 from companion.gnss.clock_steps import STEP_M
 from companion.gnss.corrected import S_SAT
 from companion.gnss.geometry import ned_axes
-from companion.gnss.receiver import Prepared, Receiver
 from companion.gnss.single_point import P_CLOCK, P_COV, P_POS, P_VEL
+from companion.intake.raw_gnss.epochs import Prepared
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation.earth import ecef
 from companion.types import F64, NS
 from replay.simulator.constellation import SatelliteFault, Sky, observe

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from companion.config import RawGnss
-from companion.gnss.receiver import Receiver
 from companion.gnss.single_point import P_DOF, P_POS
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.types import F64, BroadcastSamples, CompanionError, RawGnssSamples
 from replay.raw_gnss.android import read_gnss_logger
 from replay.raw_gnss.rinex_navigation import read_navigation

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from companion.config import RawGnss
-from companion.gnss.receiver import Receiver
 from companion.gnss.single_point import P_POS
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.types import F64, BroadcastSamples, LogFormatError, RawGnssSamples
 from replay.raw_gnss.folder import read_raw_folder
 from replay.raw_gnss.rtcm import read_rtcm

@@ -14,7 +14,7 @@ import numpy as np
 from companion.config import Config, RawGnss
 from companion.engine import Engine
 from companion.gnss.corrected import S_SAT
-from companion.gnss.receiver import Receiver
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation import layout as lo
 from companion.types import F64, NS, Channel, Solution, Verdict
 from replay.player import blocks

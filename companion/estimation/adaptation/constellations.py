@@ -31,7 +31,7 @@ from companion.estimation.adaptation.parameters import (
 )
 from companion.estimation.adaptation.window import FEWEST, deviate_of_chi2
 from companion.gnss.systems import SYSTEMS
-from companion.types import F64, I64, NS, AdaptationTrace, Channel
+from companion.types import F64, I64, AdaptationTrace, Channel
 
 CHANNELS = 2 * SYSTEMS
 _EVERY = np.array([*range(Channel.RANGE_GPS, Channel.RANGE_GPS + CHANNELS)])
@@ -42,7 +42,6 @@ _LONE_S = 1.0
 @njit(
     "void(f8[:, :, ::1], f8[:, :, ::1], i8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
     cache=True,
-    entry=True,
 )
 def judge(
     found: F64, rings: F64, at: I64, fresh: F64, a: F64, factors: F64, traces: F64
@@ -86,66 +85,71 @@ def judge(
         trace[TRACED], trace[IN_SPREAD], trace[OUT_R] = 1.0, spread, factors[kind, system]
 
 
+@njit("f8(f8, f8, i8)", cache=True, counted=False)
 def fresh_share(slow: float, phi: float, length: int) -> float:
     """Effective part of ``length`` squares of an error with autocorrelation ``slow``·``phi``^k.
 
     1 / (1 + 2 Σ (1 − k/n) ρ_k²): the variance of their mean against that of independent ones.
     """
-    k = np.arange(1, length)
-    rho = slow * phi**k
-    return float(1.0 / (1.0 + 2.0 * np.sum((1.0 - k / length) * rho * rho)))
+    total, rho = 0.0, slow
+    for k in range(1, length):
+        rho *= phi
+        total += (1.0 - k / length) * rho * rho
+    return 1.0 / (1.0 + 2.0 * total)
+
+
+@njit("void(i8, f8, f8, i8, i8[::1], f8[::1])", cache=True, counted=False)
+def news(t_ns: int, slow: float, tau_s: float, length: int, last: I64, fresh: F64) -> None:
+    """``fresh`` (2,): what of range and of rate an epoch at ``t_ns`` tells that is new.
+
+    ``last`` (2,): whether there was one before, and when; it goes on. Intervals count by the
+    millisecond: a receiver's clock wanders.
+    """
+    apart_ms = _LONE_S * 1e3
+    if last[0] == 1:
+        apart_ms = max(np.rint(abs(t_ns - last[1]) * 1e-6), 1.0)
+    last[0], last[1] = 1, t_ns
+    fresh[0] = fresh_share(slow, math.exp(-1e-3 * apart_ms / tau_s), length)
+    fresh[1] = 1.0
 
 
 class Constellations:
-    """How far the ranges and rates of each system are trusted, epoch by epoch in their order."""
+    """How far the ranges and rates of each system are trusted, epoch by epoch in their order.
+
+    The state is in arrays: who solves epochs (:mod:`companion.intake.raw_gnss`) moves it on.
+    """
 
     def __init__(self, config: Config) -> None:
         raw = config.raw_gnss
         self.factors: F64 = np.ones((2, SYSTEMS))
         """On R of ranges and of rates, system by system."""
-        self._a = adaptation_vector(config.adaptation)
-        self._length = config.adaptation.window
-        self._slow = raw.sd_multipath_m**2 / (raw.sd_range_m**2 + raw.sd_multipath_m**2)
-        self._tau_s = raw.multipath_tau_s
-        self._rings = np.zeros((CHANNELS, self._length, 2))
-        self._at = np.zeros((CHANNELS, 2), np.int64)
-        self._fresh: dict[int, F64] = {}
-        self._last_ns: int | None = None
-        self._told: list[tuple[int, F64]] = []
+        self.parameters = adaptation_vector(config.adaptation)
+        self.rings = np.zeros((CHANNELS, config.adaptation.window, 2))
+        """And where in them is written, ``at``: as :func:`judge` takes them."""
+        self.at = np.zeros((CHANNELS, 2), np.int64)
+        self.last = np.zeros(2, np.int64)
+        """As :func:`news` takes it."""
+        self.slow = raw.sd_multipath_m**2 / (raw.sd_range_m**2 + raw.sd_multipath_m**2)
+        """Part of a range's variance that lasts from epoch to epoch."""
+        self._told: list[tuple[I64, F64]] = []
 
-    def learn(self, t_ns: int, found: F64) -> None:
-        """Take in one epoch's scatter (2, SYSTEMS, 2), valid at ``t_ns``."""
-        traces = np.zeros((CHANNELS, TRACE_SIZE))
-        judge(found, self._rings, self._at, self._share(t_ns), self._a, self.factors, traces)
-        self._told.append((t_ns, traces))
-
-    def _share(self, t_ns: int) -> F64:
-        """(2,) what of range and of rate is news, an interval after the epoch before."""
-        apart = round(_LONE_S * 1e3)
-        if self._last_ns is not None:
-            apart = max(round(abs(t_ns - self._last_ns) * 1e3 / NS), 1)
-        self._last_ns = t_ns
-        known = self._fresh.get(apart)
-        if known is None:
-            phi = math.exp(-1e-3 * apart / self._tau_s)
-            known = np.array([fresh_share(self._slow, phi, self._length), 1.0])
-            # Few intervals occur; a receiver whose clock wanders has no more than a hundred.
-            if len(self._fresh) < 1000:
-                self._fresh[apart] = known
-        return known
+    def tell(self, t_ns: I64, traces: F64) -> None:
+        """Keep the ``traces`` (N, CHANNELS, TRACE_SIZE) of epochs for people."""
+        self._told.append((t_ns, traces.reshape(-1, TRACE_SIZE)))
 
     def take_trace(self) -> AdaptationTrace:
         """What was learned since the last call, for people: one row an epoch and channel."""
         told, self._told = self._told, []
         if not told:
             return AdaptationTrace.empty()
-        t = np.repeat(np.array([t_ns for t_ns, _ in told]), CHANNELS)
+        t = np.repeat(np.concatenate([t_ns for t_ns, _ in told]), CHANNELS)
         rows = np.concatenate([rows for _, rows in told])
         some = rows[:, TRACED] == 1.0
+        channel = np.tile(_EVERY, len(t) // CHANNELS)[some]
         t, rows, n = t[some], rows[some], int(some.sum())
         none, zero = np.full(n, np.nan), np.zeros(n)
         return AdaptationTrace(
-            t_ns=t, channel=np.tile(_EVERY, len(told))[some], source=np.zeros(n, np.int64),
+            t_ns=t, channel=channel, source=np.zeros(n, np.int64),
             mean=none, spread=rows[:, IN_SPREAD].copy(), correlation=none, to_model=zero,
             to_source=zero, firing=rows[:, FIRING : FIRING + 9].copy(),
             r_scale=rows[:, OUT_R].copy(), q_scale=none, alpha=none,

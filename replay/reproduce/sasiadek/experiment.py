@@ -13,7 +13,7 @@ from companion.config import RawGnss
 from companion.estimation.pseudorange8 import EightState, Tuning
 from companion.gnss.corrected import S_SAT
 from companion.gnss.geometry import ned_axes
-from companion.gnss.receiver import Receiver
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation.earth import ecef
 from companion.types import F64, I64
 from replay.reproduce import figures
