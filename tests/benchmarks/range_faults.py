@@ -1,9 +1,10 @@
 """Single-satellite faults under multipath: what is missed, what is refused without reason, clock.
 
-Run as ``python -m tests.benchmarks.range_faults [--seeds N] [--adaptation METHOD]``. Flights of
-100 s under two systems at 5 Hz; ranges with 0.7 m of white noise and 0.7 m of multipath (τ 60 s) at
-the zenith, growing as 1/sin of the elevation. One satellite errs from 50 to 90 s. Missed: ranges
-fused with an error beyond 20 m. False: ranges of healthy satellites that were refused.
+Run as ``python -m tests.benchmarks.range_faults [--seeds N] [--adaptation HOW] [--clock KNOWN]``.
+Flights of 100 s under two systems at 5 Hz; ranges with 0.7 m of white noise and 0.7 m of multipath
+(τ 60 s) at the zenith, growing as 1/sin of the elevation. One satellite errs from 50 to 90 s. The
+noise of the receiver's clock is given, the default, or learned from that. Missed: ranges fused with
+an error beyond 20 m. False: ranges of healthy satellites that were refused.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from companion.config.adaptation import METHODS
 from tests.consistency.runs import mean_bounds
-from tests.tight.faults import KINDS, MULTIPATH_M, Outcome, fly
+from tests.tight.faults import CLOCKS, KINDS, MULTIPATH_M, Outcome, fly
 
 WIDTHS = (12, 9, 15, 32, 20, 27, 12)
 
@@ -38,6 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--adaptation", default="none", choices=METHODS)
+    parser.add_argument("--clock", default="given", choices=CLOCKS)
     asked = parser.parse_args()
     seeds = asked.seeds
     head = ("fault", "flights", "missed", "refused from m, median, worst", "false of healthy",
@@ -47,7 +49,7 @@ def main() -> None:
     done: dict[tuple[str, float], list[Outcome]] = {row: [] for row in rows}
     for seed in range(seeds):
         for row in rows:
-            done[row].append(fly(seed, *row, asked.adaptation))
+            done[row].append(fly(seed, *row, asked.adaptation, asked.clock))
     for (kind, multipath), outcomes in done.items():
         words = kind if multipath else "none, white"
         cells = (words, f"{seeds}", *_cells(outcomes))

@@ -53,22 +53,32 @@ class Outcome:
     """(N,) of bias and drift together, once a second from START_S on; 2 is honest."""
 
 
-CLOCK = {
-    "clock_walk_m_rts": 0.01, "clock_drift_walk_mps_rts": 0.15, "clock_ramp_mps2": 1e-3,
+CLOCKS: dict[str, dict[str, object]] = {
+    "given": {
+        "clock_noise": "configured", "clock_walk_m_rts": 0.01, "clock_drift_walk_mps_rts": 0.15,
+        "clock_ramp_mps2": 1e-3,
+    },
+    "default": {"clock_noise": "configured"},
+    "learned": {},
 }  # fmt: skip
-"""Of the simulated clock: a random walk of its drift alone; the rest all but off."""
+"""What the filter is told of the clock: that of the simulation, a random walk of its drift alone,
+the rest all but off; what anybody gets; what anybody gets, learned from there."""
 
 
-def config(multipath_m: float, method: str = "none") -> Config:
-    """Tight coupling that knows the noise of its ranges and of its clock."""
+def config(multipath_m: float, method: str = "none", clock: str = "given") -> Config:
+    """Tight coupling that knows the noise of its ranges, and of its clock as ``clock`` says."""
     noise = {"sd_range_m": WHITE_M, "sd_multipath_m": multipath_m, "multipath_tau_s": 60.0}
-    return flights.config(raw_gnss=noise | CLOCK, adaptation={"method": method})
+    return flights.config(raw_gnss=noise | CLOCKS[clock], adaptation={"method": method})
 
 
 def fly(
-    seed: int, kind: str, multipath_m: float = MULTIPATH_M, method: str = "none"
+    seed: int, kind: str, multipath_m: float = MULTIPATH_M, method: str = "none",
+    clock: str = "given",
 ) -> Outcome:  # fmt: skip
-    """One flight with one fault, of a satellite that the seed chooses; ``method`` adapts."""
+    """One flight with one fault, of a satellite that the seed chooses; ``method`` adapts.
+
+    ``clock``: of :data:`CLOCKS`.
+    """
     simulation = runs.run(SCENARIO, seed)
     healthy, usable = _healthy(seed, multipath_m)
     raw = healthy.recording.raw[0]
@@ -78,7 +88,7 @@ def fly(
     step, ramp = KINDS[kind]
     fault = SatelliteFault(sat, START_S, END_S, step_m=step, ramp_mps=ramp)
     made = healthy if kind == "none" else _flight(simulation, seed, multipath_m, (fault,))
-    accepted, solution, nees = _run(made, config(multipath_m, method))
+    accepted, solution, nees = _run(made, config(multipath_m, method, clock))
     error = np.where((t >= START_S) & (t < END_S), step + ramp * (t - START_S), 0.0)
     bad = np.abs(error) > HARMLESS_M
     own = np.array([sat in accepted.get(int(ns), ()) for ns in raw.t_ns])
