@@ -153,3 +153,15 @@ def test_leap_seconds_are_those_of_the_bulletins(
 ) -> None:
     gps_s = datetime(*utc, tzinfo=UTC).timestamp() - GPS_EPOCH_POSIX_S + after
     assert (leap_seconds(gps_s - 1.0), leap_seconds(gps_s)) == (before, after)
+
+
+def test_a_satellite_that_says_so_of_itself_is_no_warning_and_too_few_have_no_geometry() -> None:
+    sky, _ = _sky()
+    some = np.unique(sky.raw.sat[0])[1:4]
+    sick = _changed(sky.broadcast, range(int(some[0]), int(some[0]) + 1), {ob.E_HEALTH: 1.0})
+    raw = replace(sky.raw, sat=np.where(np.isin(sky.raw.sat, some), sky.raw.sat, 0))
+    prepared, _ = _run(raw, sick)
+    events = {e.kind: e for p in prepared for e in p.events}
+    assert "ephemeris unhealthy" in events["satellite-refused"].text
+    assert events["satellite-refused"].level == "info"
+    assert events["satellite-set"].text.startswith("2 satellites, of which no place is fixed; new")

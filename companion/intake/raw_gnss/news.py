@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
+from companion.gnss.broadcast import UNHEALTHY
 from companion.gnss.systems import satellite_name
-from companion.types import Event
+from companion.types import NO_DOP, Event
 
 QUIET_S = 60.0
 """Contradictions that come back sooner are one."""
 NO_EPHEMERIS_S = 60.0
 """A satellite repeats its own every 30 s."""
 _REASON = "its range contradicts the others"
+_ITSELF = f"ephemeris {UNHEALTHY}"
+Level = Literal["info", "warning"]
 
 
 class News:
@@ -63,7 +67,8 @@ class News:
         if sats != self._set:
             gained = [satellite_name(s) for s in sats if s not in self._set]
             lost = [satellite_name(s) for s in self._set if s not in sats]
-            text = f"{len(sats)} satellites, GDOP {gdop:.1f}" + "".join(
+            worth = f"GDOP {gdop:.1f}" if gdop < NO_DOP else "of which no place is fixed"
+            text = f"{len(sats)} satellites, {worth}" + "".join(
                 f"; {word} {' '.join(names)}"
                 for word, names in (("new", gained), ("gone", lost))
                 if names
@@ -77,7 +82,9 @@ class News:
         for s, why in blamed.items():
             if self._blamed.get(s) != why:
                 name = satellite_name(s)
-                events.append(Event(t_ns, "satellite-refused", f"{name}: {why}", "warning"))
+                # That one says so of itself is the usual state of some satellite.
+                level: Level = "info" if why == _ITSELF else "warning"
+                events.append(Event(t_ns, "satellite-refused", f"{name}: {why}", level))
         # What went out of sight is not news when it comes back.
         self._blamed = {s: why for s, why in (self._blamed | blamed).items() if s not in sats}
         return events
