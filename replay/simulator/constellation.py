@@ -197,6 +197,7 @@ def observe(
     multipath_tau_s: float = 60.0,
     system_bias_m: tuple[float, float, float] = (0.0, 6.0, -9.0),
     clock_m: tuple[float, float] = (3_000.0, 40.0),
+    clock_drift_walk_mps_rts: float = 0.15,
     faults: tuple[SatelliteFault, ...] = (),
     noises: tuple[SystemNoise, ...] = (),
     air: float = 1.0,
@@ -205,13 +206,14 @@ def observe(
 
     White noise grows as 1/sin of the elevation; ``multipath_m`` is the 1σ of a Gauss-Markov error
     at the zenith that grows likewise. ``start``: GPS week and second of week of the first epoch.
+    The receiver's clock begins at ``clock_m`` [m, m/s], and its drift is a random walk.
     """
     week, first = start
     seconds = first + (t_ns - t_ns[0]) * 1e-9
     rows = ephemerides(systems, week, float(seconds[0]), float(seconds[-1]))
     table = np.array(rows)
     n, dt = len(t_ns), np.diff(seconds, prepend=seconds[0])
-    drift = clock_m[1] + np.cumsum(rng.normal(0, 0.15, n) * np.sqrt(dt))
+    drift = clock_m[1] + np.cumsum(rng.normal(0, clock_drift_walk_mps_rts, n) * np.sqrt(dt))
     clock = np.stack([clock_m[0] + np.cumsum(drift * dt), drift], axis=1)
     shape = (n, len(rows))
     ranges, rates, elevations = np.empty(shape), np.empty(shape), np.empty(shape)

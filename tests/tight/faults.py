@@ -114,7 +114,7 @@ def fly(
 def _healthy(seed: int, multipath_m: float) -> tuple[RawFlight, list[set[int]]]:
     """A flight without a fault, and the satellites of its epochs."""
     flight = _flight(runs.run(SCENARIO, seed), seed, multipath_m)
-    return flight, _usable(flight)
+    return flight, usable_satellites(flight)
 
 
 def _flight(
@@ -129,7 +129,7 @@ def _flight(
     )  # fmt: skip
 
 
-def _usable(flight: RawFlight) -> list[set[int]]:
+def usable_satellites(flight: RawFlight) -> list[set[int]]:
     """Satellites of each epoch that are above the mask and have an ephemeris."""
     receiver = Receiver(RawGnss(exclude=False))
     receiver.listen(flight.recording.broadcast[0])
