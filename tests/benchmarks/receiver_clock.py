@@ -66,8 +66,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     seeds = parser.parse_args().seeds
-    print(f"Largest horizontal error in {END_S - START_S:.0f} s with so many satellites left, mean "
-          "over the flights [m];\nin brackets: in how many it is smaller than with none")  # fmt: skip
+    print(f"Largest horizontal error in {END_S - START_S:.0f} s with so many satellites left [m],")
+    print("mean over the flights; in brackets: in how many it is smaller than with none")
     print(f"{'clock m/s/√s':>14}{'known':>10}" + "".join(f"{left:>16}" for left in LEFT))
     for walk in WALKS:
         found: dict[tuple[str, int], list[float]] = {}
