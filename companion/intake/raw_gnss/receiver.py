@@ -21,7 +21,7 @@ from companion.gnss.clock_steps import ClockSteps
 from companion.gnss.corrected import S_SAT
 from companion.gnss.correction import V_CN0, V_IONO, V_MASK, V_RANGE_SD, V_RATE_SD
 from companion.gnss.scatter import trimmed_mean
-from companion.gnss.single_point import SOLVED, TOO_FEW
+from companion.gnss.single_point import P_POS, SOLVED, TOO_FEW
 from companion.gnss.systems import SYSTEM_NAMES, SYSTEMS
 from companion.intake.raw_gnss.epochs import Epochs, Prepared
 from companion.intake.raw_gnss.news import News
@@ -46,6 +46,7 @@ from companion.intake.raw_gnss.state import (
     Z_NEWS,
     Z_USED,
 )
+from companion.intake.raw_gnss.time_doubt import TimeDoubt
 from companion.types import F64, I64, BroadcastSamples, Event, RawGnssSamples
 
 NAMES = tuple(name.lower() for name in SYSTEM_NAMES)
@@ -104,6 +105,7 @@ class Receiver:
         self.clock = ClockSteps()
         self._learner = new_learner(config)
         self._news = News()
+        self._time = TimeDoubt()
         self._ours = [NAMES.index(name) for name in config.systems]
         self._settings = _settings(config, trust)
         self._place = np.zeros(PLACE_SIZE)
@@ -181,6 +183,8 @@ class Receiver:
         lost = (state[:, Z_CODE] != SOLVED) & (state[:, Z_CODE] != TOO_FEW)
         asked = lost | (state[:, Z_NEWS] == 1) | (state[:, Z_LET_GO] == 1)
         asked |= self.ephemerides.empty
+        due = self._time.due(now[part]) & (state[:, Z_CODE] == SOLVED)
+        asked |= due
         ends = first + np.cumsum(state[:, Z_USED])
         said: list[Event] = []
         for k in np.flatnonzero(asked).tolist():
@@ -197,6 +201,8 @@ class Receiver:
                 said += self._news.contradiction(t_ns, now_s)
             if self.ephemerides.empty and "missing" in without:
                 said += self._news.nothing_known(t_ns, now_s)
+            if due[k]:
+                said += self._time.look(t_ns, rows, made.points[i, P_POS : P_POS + 3])
             gdop = float(made.dops[i, 0])
             said += self._news.satellites(t_ns, used, gdop, excluded, without)
         return said
