@@ -83,7 +83,7 @@ def new_learner(config: RawGnss) -> F64:
     return s
 
 
-@njit("void(f8[::1])", cache=True, entry=True)
+@njit("void(f8[::1])", cache=True)
 def interrupt(s: F64) -> None:
     """The clock jumped, or an epoch is missing: what comes next is no continuation."""
     s[HELD] = 0.0

@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from companion.engine import Engine
 from companion.gnss.clock_steps import STEP_M
 from companion.logbook import LogWriter
+from companion.navigation import layout as lo
 from companion.proto.navigation_pb2 import Satellites
 from companion.types import (
     NS,
@@ -156,3 +157,16 @@ def test_a_filter_far_from_where_its_ranges_are_is_set_there() -> None:
     assert event is not None
     assert "ranges" in event.text
     assert np.linalg.norm(error[at > 95.0], axis=1).max() < 3.0
+
+
+@pytest.mark.parametrize("noise", ["learned", "configured"])
+def test_the_clock_of_the_filter_is_as_noisy_as_was_learned(noise: str) -> None:
+    # Configured ten times too noisy: the simulated drift walks by 0.15 m/s/√s.
+    raw = {"clock_noise": noise, "clock_drift_walk_mps_rts": 1.5}
+    engine = play(flights.flight().recording, flights.config(raw_gnss=raw))
+    scale = engine.filter.phases[-1].filters[0].s[lo.CLOCK_SCALE : lo.CLOCK_SCALE + 3]
+    if noise == "configured":
+        assert scale.tolist() == [1.0, 1.0, 1.0]
+    else:
+        # A factor of two in 110 s; see tests/gnss/test_clock_noise.py.
+        assert 0.075 < 1.5 * np.sqrt(scale[lo.DRIFT]) < 0.3
