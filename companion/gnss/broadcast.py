@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from companion.gnss.gps_time import MOST_WEEKS, WEEK_S
 from companion.gnss.knots import KNOT_SIZE
 from companion.gnss.orbit import (
     E_ACCURACY,
@@ -41,7 +42,6 @@ NEIGHBOURS_S = 3 * 3_600.0
 KEPT = 64
 """Ephemerides kept of a satellite: a day of files with half-hourly ones."""
 CHOICE_S = 30.0
-WEEK_S = 604_800.0
 _SEMI_AXIS = (4_500.0, 7_000.0)
 _EVER = int(np.iinfo(np.int64).max)
 
@@ -101,7 +101,8 @@ def choice_of(now: F64) -> I64:
 
     Choices lie on a grid of time, so that who was asked about when changes nothing.
     """
-    return np.floor(np.nan_to_num(now, posinf=0.0, neginf=0.0) / CHOICE_S).astype(np.int64)
+    sane = np.clip(np.nan_to_num(now), 0.0, MOST_WEEKS * WEEK_S)
+    return np.floor(sane / CHOICE_S).astype(np.int64)
 
 
 @dataclass(slots=True)

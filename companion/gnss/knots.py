@@ -21,13 +21,6 @@ K_NUMBER, K_STATE = 0, 1
 KNOT_SIZE = 9
 
 
-@njit("void(f8[::1], f8, f8, f8, f8[::1])", cache=True, counted=False)
-def _tie(e: F64, week: float, at: float, number: float, knot: F64) -> None:
-    """Fill ``knot`` (:data:`KNOT_SIZE`,), the one at ``at`` intervals into ``week``."""
-    satellite_at(e, week, KNOT_S * at, knot[K_STATE:])
-    knot[K_NUMBER] = number
-
-
 @njit("void(f8[::1], f8[:, ::1], f8, f8, f8[::1])", cache=True, counted=False)
 def satellite_near(e: F64, knots: F64, week: float, second: float, out: F64) -> None:
     """As :func:`companion.gnss.orbit.satellite_at`, from ``knots`` (2, :data:`KNOT_SIZE`).
@@ -36,14 +29,14 @@ def satellite_near(e: F64, knots: F64, week: float, second: float, out: F64) -> 
     """
     at = math.floor(second / KNOT_S)
     number = week * KNOTS_A_WEEK + at
-    if knots[0, K_NUMBER] != number:
-        if knots[1, K_NUMBER] == number:
-            for i in range(KNOT_SIZE):
-                knots[0, i] = knots[1, i]
-        else:
-            _tie(e, week, at, number, knots[0])
-        _tie(e, week, at + 1.0, number + 1.0, knots[1])
-    s = second / KNOT_S - at
+    if knots[0, K_NUMBER] != number and knots[1, K_NUMBER] == number:
+        for i in range(KNOT_SIZE):
+            knots[0, i] = knots[1, i]
+    for k in range(2):
+        if knots[k, K_NUMBER] != number + k:
+            satellite_at(e, week, KNOT_S * (at + k), knots[k, K_STATE:])
+            knots[k, K_NUMBER] = number + k
+    s = (second - KNOT_S * at) / KNOT_S
     left = 1.0 - s
     h00, h01 = (1.0 + 2.0 * s) * left * left, s * s * (3.0 - 2.0 * s)
     h10, h11 = KNOT_S * s * left * left, -KNOT_S * s * s * left

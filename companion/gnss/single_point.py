@@ -211,20 +211,19 @@ def _least_squares(
     x[:] = 0.0
     for i in range(3):
         x[i] = start[i]
-    moved, outside = -1.0, True
+    outside, settled = True, False
     for turn in range(TURNS):
         if turn > 0 or not seen:
             outside = stand(x[0], x[1], x[2], frame)
             look(rows, m, x, frame, sight)
+        if settled:
+            break
         if not _normal(rows, m, used, column, n, sight, N):
             return SINGULAR
         moved = _step(rows, m, used, column, n, sight, N, x, b, dx)
-        if outside and moved < NEAR_M2:
-            break
-    if not (outside and moved < NEAR_M2):
+        settled = outside and moved < NEAR_M2
+    else:
         return SINGULAR
-    stand(x[0], x[1], x[2], frame)
-    look(rows, m, x, frame, sight)
     # What that leaves: a step more with the same matrix, too short to look again.
     _step(rows, m, used, column, n, sight, N, x, b, dx)
     for s in range(m):

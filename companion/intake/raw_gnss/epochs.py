@@ -8,12 +8,15 @@ import numpy as np
 
 from companion.estimation.adaptation.constellations import CHANNELS
 from companion.estimation.adaptation.layout import TRACE_SIZE
-from companion.gnss.clock_noise import Q_SIZE
 from companion.gnss.corrected import ROW_SIZE
 from companion.gnss.single_point import POINT_SIZE, SOLVED
 from companion.gnss.systems import SYSTEMS
 from companion.intake.raw_gnss.state import (
+    E_CLOCK,
+    E_DOP,
+    E_TRUST,
     EPOCH_SIZE,
+    FIGURES_SIZE,
     Z_CODE,
     Z_EXCLUDED,
     Z_LET_GO,
@@ -72,10 +75,9 @@ class Epochs:
     excluded: I64
     """(N, K) of which the first ``Z_EXCLUDED`` count."""
     points: F64
-    dops: F64
-    trusted: F64
-    clock_scales: F64
-    """(N, 30), (N, 5), (N, SYSTEMS), (N, 3), and the rows (M, ·): as :class:`Prepared` says."""
+    """(N, 30) and the rows (M, ·): as :class:`Prepared` says."""
+    figures: F64
+    """(N, ·) columns ``E_`` of :mod:`companion.intake.raw_gnss.state`."""
     found: F64
     """(N, 2, SYSTEMS, 2) as :func:`companion.gnss.scatter.scatter` says; zeros without."""
     traces: F64
@@ -97,9 +99,7 @@ class Epochs:
             np.empty((n * columns, 3)),
             np.empty((n, columns), np.int64),
             np.full((n, POINT_SIZE), np.nan),
-            np.empty((n, 5)),
-            np.empty((n, SYSTEMS)),
-            np.empty((n, Q_SIZE)),
+            np.empty((n, FIGURES_SIZE)),
             np.zeros((learned, 2, SYSTEMS, 2)),
             np.zeros((learned, CHANNELS, TRACE_SIZE)),
             [],
@@ -112,6 +112,21 @@ class Epochs:
     def counts(self) -> I64:
         """(N,) satellites in use."""
         return self.state[:, Z_USED]
+
+    @property
+    def dops(self) -> F64:
+        """(N, 5) GDOP, PDOP, HDOP, VDOP, TDOP of the satellites in use."""
+        return self.figures[:, E_DOP:E_TRUST]
+
+    @property
+    def trusted(self) -> F64:
+        """(N, SYSTEMS) factors on the variances of ranges."""
+        return self.figures[:, E_TRUST:E_CLOCK]
+
+    @property
+    def clock_scales(self) -> F64:
+        """(N, 3) factors on the noise of the receiver's clock."""
+        return self.figures[:, E_CLOCK:]
 
     @property
     def solved(self) -> Flags:

@@ -20,6 +20,7 @@ from companion.gnss.clock_noise import new_learner
 from companion.gnss.clock_steps import ClockSteps
 from companion.gnss.corrected import S_SAT
 from companion.gnss.correction import V_CN0, V_IONO, V_MASK, V_RANGE_SD, V_RATE_SD
+from companion.gnss.gps_time import WEEK_S
 from companion.gnss.scatter import trimmed_mean
 from companion.gnss.single_point import P_POS, SOLVED, TOO_FEW
 from companion.gnss.systems import SYSTEM_NAMES, SYSTEMS
@@ -53,7 +54,6 @@ NAMES = tuple(name.lower() for name in SYSTEM_NAMES)
 FAULT_PROBABILITY = 1e-4
 """That the test of an epoch's residuals cries fault where there is none."""
 MOST_DOF = 64
-WEEK_S = 604_800.0
 
 
 @cache
@@ -167,8 +167,7 @@ class Receiver:
             trimmed_mean(), trust.parameters, self._place, self.clock.known, self._learner,
             self._memory, trust.factors, trust.rings, trust.at, trust.last, filled, made.rows,
             made.lines, made.excluded.reshape(-1)[part.start * K : part.stop * K], made.state[part],
-            made.points[part], made.dops[part], made.trusted[part], made.clock_scales[part],
-            made.found[part], made.traces[part],
+            made.points[part], made.figures[part], made.found[part], made.traces[part],
         )  # fmt: skip
 
     def _without(self, sats: I64, table: Table) -> dict[str, list[int]]:
@@ -210,7 +209,7 @@ class Receiver:
 
 def _gps_seconds(raw: RawGnssSamples) -> F64:
     """(N,) times of reception since the GPS epoch [s]."""
-    return np.asarray(raw.week * WEEK_S + raw.tow, np.float64)
+    return np.asarray(raw.week.astype(np.float64) * WEEK_S + raw.tow)
 
 
 def _arranged(raw: RawGnssSamples) -> tuple[I64, F64]:

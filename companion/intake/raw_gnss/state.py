@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from companion.gnss.clock_noise import Q_SIZE
 from companion.gnss.correction import NOISE_SIZE
 from companion.gnss.systems import SYSTEMS
 from companion.types import SATELLITES
@@ -25,11 +26,9 @@ T_POS, T_VEL, T_TIME, T_KNOWN = 0, 3, 6, 7
 PLACE_SIZE = 8
 
 # --- what is remembered of the epoch before
-K_UNSOLVED, K_SIGN, K_SET = 0, 1, 2
-"""Epochs so far whose ranges fit no place; sign of who was used, at fault and refused; how many
-were used, and from K_SATS on who."""
-K_CLOCK = 3
-"""System whose clock the noise was learned of."""
+K_UNSOLVED, K_SIGN, K_CLOCK, K_SET = range(4)
+"""Epochs so far whose ranges fit no place; sign of who was used, at fault and refused; system whose
+clock the noise was learned of; how many were used, and from K_SATS on who."""
 K_SATS = 4
 MEMORY_SIZE = K_SATS + SATELLITES
 
@@ -38,3 +37,10 @@ Z_USED, Z_EXCLUDED, Z_CODE, Z_LET_GO, Z_NEWS = range(5)
 """Satellites in use and at fault; what ``solve`` said; 1 where the receiver's clock jumped in front
 of it; 1 where others are used, at fault or refused than in the one before."""
 EPOCH_SIZE = 5
+E_DOP = 0
+"""(5) GDOP, PDOP, HDOP, VDOP, TDOP of the satellites in use."""
+E_TRUST = 5
+"""(SYSTEMS) factors on the variances of its ranges, by how far their systems are trusted."""
+E_CLOCK = E_TRUST + SYSTEMS
+"""(Q_SIZE) factors on the noise of the receiver's clock, as learned up to it."""
+FIGURES_SIZE = E_CLOCK + Q_SIZE
