@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields
 from functools import cache
@@ -23,7 +24,7 @@ def _names(kind: Any) -> tuple[str, ...]:
     return tuple(f.name for f in fields(kind))
 
 
-class Rows:
+class Rows(ABC):
     """Base of the frozen dataclasses whose fields are arrays with one first dimension N."""
 
     __slots__ = ()
@@ -39,9 +40,9 @@ class Rows:
         return type(self)(*[getattr(self, name)[index] for name in _names(kind)])
 
     @classmethod
+    @abstractmethod
     def empty(cls) -> Self:
         """Without a row."""
-        raise NotImplementedError
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:

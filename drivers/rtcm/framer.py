@@ -1,13 +1,12 @@
-"""RTCM 3 frames out of bytes as they come: halves wait, what is no frame is counted and dropped.
+"""RTCM 3 frames: D3, six bits of zero, length (10 bits), payload, CRC-24Q over all of that.
 
-A frame is D3, six bits of zero, length (10 bits), payload, CRC-24Q over all of that.
+RTCM 10403.3, section 4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from companion.gnss.messages.crc import crc24q
+from drivers import framing
 
 PREAMBLE = 0xD3
 _HEAD, _CHECK = 3, 3
@@ -19,45 +18,16 @@ def pack(payload: bytes) -> bytes:
     return body + crc24q(body).to_bytes(_CHECK, "big")
 
 
-class Framer:
-    """Keeps the beginning of a frame until the rest comes."""
+class Framer(framing.Framer[bytes]):
+    """Payloads of RTCM 3 among NMEA, UBX and noise."""
 
-    def __init__(self) -> None:
-        self.frames = 0
-        self.bad = 0
-        """Frames with a wrong CRC."""
-        self.skipped = 0
-        """Bytes of neither: NMEA, UBX, noise."""
-        self._held = bytearray()
+    MARK, HEAD = bytes((PREAMBLE,)), _HEAD
 
-    def feed(self, data: bytes) -> Iterator[bytes]:
-        """The payload of every frame that ``data`` completes."""
-        held = self._held
-        held += data
-        while True:
-            at = held.find(PREAMBLE)
-            if at < 0:
-                self._drop(len(held))
-                return
-            self._drop(at)
-            if len(held) < _HEAD:
-                return
-            if held[1] & 0xFC:
-                self._drop(1)
-                continue
-            end = _HEAD + int.from_bytes(held[1:3], "big") + _CHECK
-            if len(held) < end:
-                return
-            if crc24q(held[: end - _CHECK]) != int.from_bytes(held[end - _CHECK : end], "big"):
-                # Perhaps the mark stood in something else: look again behind it.
-                self.bad += 1
-                self._drop(1)
-                continue
-            self.frames += 1
-            payload = bytes(held[_HEAD : end - _CHECK])
-            del held[:end]
-            yield payload
+    def length(self, head: bytes) -> int | None:
+        """As :class:`drivers.framing.Framer` asks."""
+        return None if head[1] & 0xFC else _HEAD + int.from_bytes(head[1:], "big") + _CHECK
 
-    def _drop(self, count: int) -> None:
-        self.skipped += count
-        del self._held[:count]
+    def frame(self, whole: bytes) -> bytes | None:
+        """As :class:`drivers.framing.Framer` asks."""
+        good = crc24q(whole[:-_CHECK]) == int.from_bytes(whole[-_CHECK:], "big")
+        return whole[_HEAD:-_CHECK] if good else None

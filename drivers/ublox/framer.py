@@ -1,15 +1,16 @@
-"""UBX frames out of bytes as they come: halves wait, what is no frame is counted and dropped.
+"""UBX frames: B5 62, class, identifier, length (2, little-endian), payload, two check bytes.
 
-A frame is B5 62, class, identifier, length (2, little-endian), payload, two check bytes (Fletcher).
+The check is Fletcher's over class … payload (u-blox interface description F9, UBX checksum).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
+from drivers import framing
+
 SYNC = b"\xb5\x62"
-_HEAD = 6
+_HEAD, _CHECK = 6, 2
 _LONGEST = 8192
 """Longer payloads than any that is used here: such a length is noise."""
 
@@ -23,7 +24,7 @@ class Frame:
     payload: bytes
 
 
-def checksum(data: bytes | bytearray) -> bytes:
+def checksum(data: bytes) -> bytes:
     """The two check bytes over class … payload."""
     a = b = 0
     for byte in data:
@@ -38,43 +39,18 @@ def pack(kind: int, payload: bytes) -> bytes:
     return SYNC + body + checksum(body)
 
 
-class Framer:
-    """Keeps the beginning of a frame until the rest comes."""
+class Framer(framing.Framer[Frame]):
+    """UBX among NMEA, RTCM and noise."""
 
-    def __init__(self) -> None:
-        self.frames = 0
-        self.bad = 0
-        """Frames with wrong check bytes or an impossible length."""
-        self.skipped = 0
-        """Bytes of neither: NMEA, RTCM, noise."""
-        self._held = bytearray()
+    MARK, HEAD = SYNC, _HEAD
 
-    def feed(self, data: bytes) -> Iterator[Frame]:
-        """Every frame that ``data`` completes."""
-        held = self._held
-        held += data
-        while True:
-            at = held.find(SYNC)
-            if at < 0:
-                # The last byte may be half of the mark.
-                keep = 1 if held[-1:] == SYNC[:1] else 0
-                self.skipped += len(held) - keep
-                del held[: len(held) - keep]
-                return
-            self.skipped += at
-            del held[:at]
-            if len(held) < _HEAD:
-                return
-            length = int.from_bytes(held[4:6], "little")
-            end = _HEAD + length + 2
-            if length <= _LONGEST and len(held) < end:
-                return
-            if length > _LONGEST or checksum(held[2 : end - 2]) != held[end - 2 : end]:
-                # Perhaps the mark stood in something else: look again behind it.
-                self.bad += 1
-                del held[:2]
-                continue
-            self.frames += 1
-            frame = Frame(held[2] << 8 | held[3], bytes(held[_HEAD : end - 2]))
-            del held[:end]
-            yield frame
+    def length(self, head: bytes) -> int | None:
+        """As :class:`drivers.framing.Framer` asks."""
+        payload = int.from_bytes(head[4:6], "little")
+        return _HEAD + payload + _CHECK if payload <= _LONGEST else None
+
+    def frame(self, whole: bytes) -> Frame | None:
+        """As :class:`drivers.framing.Framer` asks."""
+        if checksum(whole[len(SYNC) : -_CHECK]) != whole[-_CHECK:]:
+            return None
+        return Frame(whole[2] << 8 | whole[3], whole[_HEAD:-_CHECK])

@@ -27,10 +27,7 @@ class ReceiverTally:
     def __init__(self, config: RawGnss) -> None:
         self._config = config
         self._session = receiver_session(config.protocol)
-        self._framers: dict[str, UbxFramer | RtcmFramer] = {
-            "ublox": UbxFramer(),
-            "rtcm3": RtcmFramer(),
-        }
+        self._ubx, self._rtcm = UbxFramer(), RtcmFramer()
         self._bytes = 0
         self._nmea = 0
         self._kinds: Counter[str] = Counter()
@@ -41,11 +38,9 @@ class ReceiverTally:
         """Bytes as they arrived; the receiver's own fixes among them."""
         self._bytes += len(data)
         self._nmea += data.count(b"$G")
-        for frame in self._framers["ublox"].feed(data):
-            assert not isinstance(frame, bytes)
+        for frame in self._ubx.feed(data):
             self._kinds[f"UBX {frame.kind >> 8:02X}-{frame.kind & 255:02X}"] += 1
-        for payload in self._framers["rtcm3"].feed(data):
-            assert isinstance(payload, bytes)
+        for payload in self._rtcm.feed(data):
             if len(payload) > 1:
                 self._kinds[f"{payload[0] << 4 | payload[1] >> 4}"] += 1
         fixes = []
@@ -61,6 +56,7 @@ class ReceiverTally:
     def heard(self, refused: str) -> ReceiverHeard:
         """All of it."""
         config, counters = self._config, self._session.counters
+        heard = {"ublox": self._ubx.frames, "rtcm3": self._rtcm.frames}
         t = np.array([int(e.t_rx_ns[0]) for e in self._epochs])
         rate = float((len(t) - 1) * NS / (t[-1] - t[0])) if len(t) > 1 and t[-1] > t[0] else 0.0
         seen = [e.sat[0] > 0 for e in self._epochs]
@@ -77,7 +73,7 @@ class ReceiverTally:
             bytes=self._bytes,
             frames=counters["frames"],
             malformed=counters["malformed"],
-            other_protocol={k: f.frames for k, f in self._framers.items() if k != config.protocol},
+            other_protocol={k: n for k, n in heard.items() if k != config.protocol},
             nmea=self._nmea,
             kinds=dict(sorted(self._kinds.items())),
             epochs=len(self._epochs),
