@@ -1,9 +1,10 @@
-"""The receiver's clock of a real walk, foretold without satellites: how far off, how far it says.
+"""Clocks of real receivers: their noise as learned, and one foretold without satellites.
 
-Run as ``python -m tests.benchmarks.clock_foretold``. Windows of 30 s of ``rtk-walk`` without any
-satellite; the clock that the tightly coupled filter carries on against the one that the withheld
-epochs say by themselves. What a single satellite could tell of the place is lost in it where the
-clock is less known than the place is.
+Run as ``python -m tests.benchmarks.clock_foretold``. Three recordings through the receiver's stream
+alone: a u-blox in a walking hand, an Emlid Reach at rest, a phone between houses. Then windows of
+30 s of ``rtk-walk`` without any satellite: the clock that the tightly coupled filter carries on
+against the one that the withheld epochs say by themselves. What a single satellite could tell of
+the place is lost in it where the clock is less known than the place is.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.config import Config, parse
+from companion.config import Config, RawGnss, parse
 from companion.engine import Engine
 from companion.gnss.single_point import P_CLOCK, P_RATE
 from companion.intake.raw_gnss.receiver import Receiver
 from companion.navigation import layout as lo
 from companion.types import F64, I64, NS, VehicleRecording
 from replay.player import blocks
+from tests.benchmarks.single_point import cases
 from tests.benchmarks.tight_coupling import (
     CONFIG,
     DATA,
@@ -88,7 +90,24 @@ def _now(engine: Engine, truth: tuple[I64, F64, F64]) -> Foretold:
     )  # fmt: skip
 
 
+def print_learned() -> None:
+    """What is known of each clock at the end of its recording."""
+    asked = RawGnss()
+    configured = (asked.clock_walk_m_rts, asked.clock_drift_walk_mps_rts, asked.clock_ramp_mps2)
+    print(f"{'recording':18}{'solved':>8}{'bias m/√s':>12}{'drift m/s/√s':>14}{'ramp m/s²':>11}")
+    print(f"{'configured':26}" + "{:12.3f}{:14.3f}{:11.3f}".format(*configured))
+    for case in cases():
+        receiver = Receiver(asked)
+        receiver.listen(case.broadcast)
+        epochs = [receiver.take(case.raw, i) for i in range(len(case.raw))]
+        solved = sum(epoch.point is not None for epoch in epochs)
+        found = np.sqrt(epochs[-1].clock_scale) * configured
+        print(f"{case.name:18}{solved:8d}" + "{:12.3f}{:14.3f}{:11.3f}".format(*found))
+
+
 def main() -> None:
+    print_learned()
+    print()
     vehicle = walk(DATA)
     print(f"{'noise':>12}{'after s':>9}{'windows':>9}{'clock off m, RMS':>18}{'says':>7}"
           f"{'drift off m/s':>15}{'says':>7}{'place says m':>14}")  # fmt: skip
