@@ -148,8 +148,8 @@ class RangeIntake:
 
     def _epochs(self, arrivals: list[RawGnssSamples | BroadcastSamples]) -> list[Epochs]:
         """Epochs prepared in the stream's order, in as few runs as its messages allow."""
-        if not arrivals:
-            return []
+        if len(arrivals) < 2:
+            return [made for arrival in arrivals for made in self._alone(arrival)]
         who = np.repeat(np.arange(len(arrivals)), [len(a) for a in arrivals])
         row = np.concatenate([np.arange(len(a)) for a in arrivals])
         order = np.argsort(np.concatenate([a.seq for a in arrivals]), kind="stable")
@@ -165,6 +165,13 @@ class RangeIntake:
                 self.receiver.listen(message)
                 done = at
         return made + self._prepared(arrivals, who[done:], row[done:])
+
+    def _alone(self, arrival: RawGnssSamples | BroadcastSamples) -> list[Epochs]:
+        """An arrival that no other comes between, as all are that come live."""
+        if isinstance(arrival, RawGnssSamples):
+            return [self.receiver.prepare(arrival)]
+        self.receiver.listen(arrival)
+        return []
 
     def _prepared(
         self, arrivals: list[RawGnssSamples | BroadcastSamples], who: I64, row: I64
