@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -155,16 +154,17 @@ class RangeIntake:
         order = np.argsort(np.concatenate([a.seq for a in arrivals]), kind="stable")
         who, row = who[order], row[order]
         spoken = np.array([isinstance(a, BroadcastSamples) for a in arrivals])[who]
+        raw = who[~spoken], row[~spoken]
         made: list[Epochs] = []
         done = 0
-        for at in np.flatnonzero(spoken).tolist():
-            message = arrivals[who[at]].take(slice(row[at], row[at] + 1))
+        for count, at in enumerate(np.flatnonzero(spoken).tolist()):
+            message, ahead = arrivals[who[at]].take(slice(row[at], row[at] + 1)), at - count
             # One that repeats what is known does not have to wait for the epochs before it.
             if isinstance(message, BroadcastSamples) and not self.receiver.repeats(message):
-                made += self._prepared(arrivals, who[done:at], row[done:at])
+                made += self._prepared(arrivals, raw[0][done:ahead], raw[1][done:ahead])
                 self.receiver.listen(message)
-                done = at
-        return made + self._prepared(arrivals, who[done:], row[done:])
+                done = ahead
+        return made + self._prepared(arrivals, raw[0][done:], raw[1][done:])
 
     def _alone(self, arrival: RawGnssSamples | BroadcastSamples) -> list[Epochs]:
         """An arrival that no other comes between, as all are that come live."""
@@ -176,18 +176,14 @@ class RangeIntake:
     def _prepared(
         self, arrivals: list[RawGnssSamples | BroadcastSamples], who: I64, row: I64
     ) -> list[Epochs]:
-        """The epochs among rows ``row`` of arrivals ``who``, in this order."""
+        """Epochs ``row`` of arrivals ``who``, in this order."""
         made: list[Epochs] = []
-        raw = np.array([isinstance(a, RawGnssSamples) for a in arrivals])[who]
-        who, row = who[raw], row[raw]
-        cuts = [0, *(np.flatnonzero(np.diff(who)) + 1).tolist(), len(who)]
-        for begin, end in pairwise(cuts):
-            if end > begin:
-                arrival = arrivals[who[begin]]
-                assert isinstance(arrival, RawGnssSamples)
-                made.append(
-                    self.receiver.prepare(arrival.take(slice(row[begin], row[end - 1] + 1)))
-                )
+        if len(who) == 0:
+            return made
+        for part in np.split(np.arange(len(who)), np.flatnonzero(np.diff(who)) + 1):
+            arrival = arrivals[who[part[0]]].take(slice(row[part[0]], row[part[-1]] + 1))
+            if isinstance(arrival, RawGnssSamples):
+                made.append(self.receiver.prepare(arrival))
         return made
 
     def _ranges(self, made: list[Epochs]) -> RangeSamples:
