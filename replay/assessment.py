@@ -5,10 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
+import numpy as np
+
 from companion.config import Config
-from companion.types import NS, AidingReports, ReferenceSamples, Solution, VehicleRecording
-from replay.evaluation import Evaluation, EvaluationError, Outage, evaluate, find_outages
+from companion.types import I64, NS, AidingReports, ReferenceSamples, Solution, VehicleRecording
+from replay.evaluation import (
+    Evaluation,
+    EvaluationError,
+    Outage,
+    evaluate,
+    find_outages,
+    silences,
+)
 from replay.preparation import start_ns
+from replay.sky import FULL
 from replay.window import Window
 
 Reference = tuple[Literal["truth", "autopilot"], ReferenceSamples]
@@ -34,13 +44,33 @@ def outages_of(
         for w in withheld
     ]
     # Fixes are stamped late; the outage ends when the first fix after it was valid.
-    late = round(config.gnss.latency_ms * 1e6)
-    named = [g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)]
-    for gap in find_outages(named[0], min_fix_type=config.gnss.min_fix_type) if named else ():
+    ranges = config.raw_gnss.coupling != "off"
+    late = round((config.raw_gnss if ranges else config.gnss).latency_ms * 1e6)
+    if ranges:
+        gaps = silences(times_of_ranges(vehicle, config))
+    else:
+        gaps = _fixes_lost(vehicle, config)
+    for gap in gaps:
         begin, end = gap.start_ns - late, gap.end_ns - late
         if not any(begin < o.end_ns and end > o.start_ns for o in known):
             known.append(Outage(begin, end))
     return tuple(sorted(known, key=lambda o: o.start_ns))
+
+
+def _fixes_lost(vehicle: VehicleRecording, config: Config) -> tuple[Outage, ...]:
+    named = [g for g in vehicle.gnss if config.gnss.source in ("auto", g.source)]
+    return find_outages(named[0], min_fix_type=config.gnss.min_fix_type) if named else ()
+
+
+def times_of_ranges(vehicle: VehicleRecording, config: Config) -> I64:
+    """(N,) stamps of epochs with a range; on fixes made of them, with as many as a place takes."""
+    least = 1 if config.raw_gnss.coupling == "tight" else FULL
+    named = [r for r in vehicle.raw if config.raw_gnss.source in ("auto", r.source)]
+    if not named:
+        return np.zeros(0, np.int64)
+    seen = ((named[0].sat > 0) & np.isfinite(named[0].pseudorange)).sum(axis=1)
+    times: I64 = named[0].t_ns[seen >= least]
+    return times
 
 
 def assess(

@@ -254,7 +254,12 @@ def find_outages(
     A receiver that is slow by nature has no outage: a gap must also exceed two and a half of its
     median intervals. Before the first and after the last fix nothing is reported.
     """
-    good = np.unique(gnss.t_ns[gnss.fix_type >= min_fix_type])
+    return silences(gnss.t_ns[gnss.fix_type >= min_fix_type], minimum_s)
+
+
+def silences(t_ns: I64, minimum_s: float = 3.0) -> tuple[Outage, ...]:
+    """Gaps of :func:`find_outages` between times (N,) at which there was something."""
+    good = np.unique(t_ns)
     if len(good) < 2:
         return ()
     gaps = np.diff(good)

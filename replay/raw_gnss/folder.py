@@ -31,6 +31,8 @@ from replay.raw_gnss.ubx import read_ubx
 from replay.streams import GnssClock
 
 S = TypeVar("S", bound=Samples)
+_OTHERS = {"G": "GLONASS navigation", "H": "SBAS navigation", "M": "meteorology"}
+"""RINEX files that stand beside those of use here, by type."""
 _TOGETHER_S = 5.0
 """Two files of one logger begin and end within this."""
 
@@ -75,9 +77,11 @@ def read_raw_files(
         elif path.suffix.lower() == ".txt":
             raw, said = read_gnss_logger(path)
             raws.append(raw)
-        elif version_and_type(path, text_lines(path)[:1])[1] == "O":
+        elif (kind := version_and_type(path, text_lines(path)[:1])[1]) == "O":
             raw, said = read_observations(path)
             raws.append(raw)
+        elif kind in _OTHERS:
+            said = [f"{path.name}: {_OTHERS[kind]} is not used, left out"]
         else:
             broadcast, said = read_navigation(path)
             broadcasts.append(broadcast)

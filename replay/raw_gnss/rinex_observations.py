@@ -47,6 +47,8 @@ def text_lines(path: Path) -> list[str]:
 def version_and_type(path: Path, lines: list[str]) -> tuple[float, str]:
     """From the first line of any RINEX file; raises :class:`LogFormatError` otherwise."""
     first = lines[0] if lines else ""
+    if first[60:80].strip() == "CRINEX VERS   / TYPE":
+        raise LogFormatError(f"{path}: compact RINEX (Hatanaka); crx2rnx unpacks it")
     if first[60:80].strip() != "RINEX VERSION / TYPE":
         raise LogFormatError(f"{path}:1: no RINEX file: 'RINEX VERSION / TYPE' is missing")
     try:

@@ -21,7 +21,7 @@ from companion.types import (
     VehicleRecording,
     Verdict,
 )
-from replay.assessment import outages_of, references
+from replay.assessment import outages_of, references, times_of_ranges
 from replay.evaluation import Outage
 from replay.preparation import start_ns
 from replay.window import Window
@@ -96,6 +96,10 @@ class RunView:
 
     def _final_fix_ns(self) -> int | None:
         """When the last usable fix of the receivers that may be used was valid."""
+        if self.config.raw_gnss.coupling != "off":
+            seen = times_of_ranges(self.vehicle, self.config)
+            late = round(self.config.raw_gnss.latency_ms * 1e6)
+            return int(seen.max()) - late if len(seen) else None
         chosen = self.config.gnss.source
         fixed = [
             g.t_ns[g.fix_type >= self.config.gnss.min_fix_type]

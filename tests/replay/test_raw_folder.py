@@ -127,3 +127,17 @@ def test_receivers_that_cannot_be_solved_are_one_line(
     assert result.status == 1
     assert why in result.err
     assert len(result.err.strip().splitlines()) == 1
+
+
+def test_files_that_stand_beside_are_left_out_and_compact_ones_are_named(folder: Path) -> None:
+    raw = folder / "raw_gnss"
+    version = f"{'     2.10           G: GLONASS NAV DATA':<60}RINEX VERSION / TYPE\n"
+    (raw / "a.23g").write_text(version + f"{'':<60}END OF HEADER\n")
+    assert read_log([folder], clock="gps").notes == (
+        "a.23g: GLONASS navigation is not used, left out",
+    )
+    (raw / "b.23d").write_text(
+        f"{'1.0                 COMPACT RINEX FORMAT':<60}CRINEX VERS   / TYPE\n"
+    )
+    with pytest.raises(LogFormatError, match=r"b\.23d: compact RINEX \(Hatanaka\)"):
+        read_log([folder])

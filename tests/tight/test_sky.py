@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from companion.types import Channel, Recording
+from companion.types import NS, Channel, Recording
+from replay.assessment import outages_of
 from replay.configuration import ChosenConfig
 from replay.report.panels import panels
 from replay.report.run_view import RunView
@@ -59,3 +61,27 @@ def test_a_run_tells_how_many_satellites_and_how_well_they_stood(tmp_path: Path)
     assert np.count_nonzero(mine) > 3 * len(np.unique(stored.reports.t_ns[mine]))
     assert ranges.limit is not None
     assert ranges.limit < 60.0
+
+
+def test_times_without_ranges_are_outages_of_a_run_on_ranges() -> None:
+    """Two satellites are none on fixes made of them; no satellite is one for both."""
+    vehicle = flights.withheld(flights.flight().recording, 20.0, 40.0, 2)
+    vehicle = flights.withheld(vehicle, 60.0, 75.0, 0)
+    vehicle = flights.withheld(vehicle, 100.0, 200.0, 0)
+    origin = int(vehicle.imu[0].t_ns[0])
+
+    def lost(coupling: str) -> list[tuple[float, float]]:
+        config = flights.config(raw_gnss={"coupling": coupling})
+        found = outages_of(vehicle, config, ())
+        return [((o.start_ns - origin) / NS, (o.end_ns - o.start_ns) / NS) for o in found]
+
+    # Epochs come five times a second: a gap is longer by up to one of them.
+    assert lost("tight") == [pytest.approx((60.0, 15.0), abs=0.41)]
+    assert lost("loose") == [
+        pytest.approx((20.0, 20.0), abs=0.41),
+        pytest.approx((60.0, 15.0), abs=0.41),
+    ]
+    run = run_session(vehicle, ChosenConfig(flights.config(), "test", ""))
+    view = RunView("test", vehicle, flights.config(), run.solution, run.reports, run.events)
+    # The one that the run ends in is told by the report.
+    assert (view.outages()[-1].start_ns - origin) / NS == pytest.approx(100.0, abs=0.41)
