@@ -12,6 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import CanBus, CanImu, Config, Imu, Mavlink, RawGnss
+from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, WEEK_S
 from companion.gnss.systems import GPS
 from companion.runtime.check.findings import findings
 from companion.runtime.check.heard import (
@@ -225,6 +226,8 @@ def test_senders_are_told_apart() -> None:
 
 # --------------------------------------------------------------------------- raw GNSS
 
+FIRST_NS = (GPS_EPOCH_POSIX_S - 18 + 2300 * WEEK_S + 100) * NS
+"""UTC of second 100 of GPS week 2300."""
 RECEIVER = RawGnss(endpoint="tcp:10.0.0.2:5000", coupling="tight")
 SATS, RANGES = np.array([101, 105, 110, 122, 231]), np.array([2.1e7, 2.2e7, 2.3e7, 2.1e7, 2.6e7])
 
@@ -232,15 +235,15 @@ SATS, RANGES = np.array([101, 105, 110, 122, 231]), np.array([2.1e7, 2.2e7, 2.3e
 def receiver_said(config: RawGnss, *pieces: bytes) -> list[Finding]:
     tally = ReceiverTally(config)
     for k, data in enumerate(pieces):
-        tally.feed(k, 1_750_000_000 * NS + k * NS // 5, data)
+        tally.feed(k, FIRST_NS + k * NS // 5, data)
     whole = Config(can=CONFIG.can, mavlink=CONFIG.mavlink, raw_gnss=config)
     found = findings(whole, heard(receiver=tally.heard("")))
     return [f for f in found if f.part == config.endpoint]
 
 
-def ubx_epochs(count: int) -> list[bytes]:
+def ubx_epochs(count: int, week: int = 2300, second: float = 100.0) -> list[bytes]:
     rates = np.ones(len(SATS))
-    return [ubx.rawx(2300, 100.0 + 0.2 * k, SATS, RANGES, rates) for k in range(count)]
+    return [ubx.rawx(week, second + 0.2 * k, SATS, RANGES, rates) for k in range(count)]
 
 
 def test_a_receiver_in_order() -> None:
@@ -249,6 +252,19 @@ def test_a_receiver_in_order() -> None:
     assert (finding.level, finding.text) == (
         "ok", "raw GNSS at 5.0 Hz, satellites G4 E1, 45 dB-Hz, 1 ephemerides",
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("week", "second", "text"),
+    [
+        (2300 - 1024, 100.0, "its time is 1024 weeks behind this computer's"),
+        (2300, 118.0, "its time is 18.0 s ahead of this computer's"),
+    ],
+)
+def test_a_receiver_of_another_time(week: int, second: float, text: str) -> None:
+    found = receiver_said(RECEIVER, *ubx_epochs(20, week, second))
+    [finding] = [f for f in found if "time" in f.text]
+    assert (finding.level, finding.text) == ("warning", text)
 
 
 @pytest.mark.parametrize(

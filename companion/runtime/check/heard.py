@@ -138,6 +138,8 @@ class ReceiverHeard:
     doppler: bool = False
     ephemerides: tuple[str, ...] = ()
     """Satellites whose ephemeris came."""
+    ahead_s: float = float("nan")
+    """Its time − this computer's, UTC both [s], median; NaN without epochs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
 
 from companion.config import Config, RawGnss
+from companion.gnss.gps_time import GPS_EPOCH_POSIX_S, WEEK_S, leap_seconds
 from companion.gnss.systems import LETTERS, SYSTEM_NAMES, satellite_name
 from companion.runtime.check.heard import Finding, ReceiverHeard
 from companion.types import NS, BroadcastSamples, GnssSamples, RawGnssSamples
@@ -19,6 +21,8 @@ PROTOCOLS = {"ublox": "UBX", "rtcm3": "RTCM 3"}
 _OF_A_BASE = {"1005", "1006"}
 _FEW = 4
 _BROKEN_SHARE = 0.01
+_ANOTHER_TIME_S = 2.0
+"""Further off than a line is late and a computer without a network drifts in a day."""
 
 
 class ReceiverTally:
@@ -86,7 +90,19 @@ class ReceiverTally:
             cn0_dbhz=float(np.median(cn0)) if cn0 else float("nan"),
             doppler=doppler,
             ephemerides=tuple(satellite_name(s) for s in sorted(self._ephemerides)),
+            ahead_s=float(np.median([_ahead_s(e) for e in self._epochs])) if len(t) else math.nan,
         )
+
+
+def _ahead_s(epoch: RawGnssSamples) -> float:
+    """A receiver's time − that of the computer at the epoch's arrival, UTC both [s]."""
+    gps_s = float(epoch.week[0]) * WEEK_S + float(epoch.tow[0])
+    return gps_s - leap_seconds(gps_s) + GPS_EPOCH_POSIX_S - float(epoch.t_rx_ns[0]) / NS
+
+
+def _span(seconds: float) -> str:
+    weeks = seconds / WEEK_S
+    return f"{weeks:.0f} weeks" if weeks > 1.0 else f"{seconds:.1f} s"
 
 
 def receiver_findings(config: Config, heard: ReceiverHeard, seconds: float) -> Iterator[Finding]:
@@ -130,6 +146,11 @@ def _measurements(config: Config, heard: ReceiverHeard, seconds: float) -> Itera
     sats = " ".join(f"{LETTERS[SYSTEM_NAMES.index(n)]}{k}" for n, k in heard.satellites.items())
     text = f"raw GNSS at {heard.rate_hz:.1f} Hz, satellites {sats}, {heard.cn0_dbhz:.0f} dB-Hz"
     yield Finding("ok", part, f"{text}, {len(heard.ephemerides)} ephemerides")
+    if abs(heard.ahead_s) > _ANOTHER_TIME_S:
+        text = f"its time is {_span(abs(heard.ahead_s))} "
+        text += f"{'ahead of' if heard.ahead_s > 0 else 'behind'} this computer's"
+        advice = "the computer's clock, or a receiver that lost weeks or leap seconds: it finds no "
+        yield Finding("warning", part, text, advice + "ephemeris that fits")
     if sum(heard.satellites.values()) < _FEW:
         yield Finding("warning", part, f"satellites {sats or 'none'}", "open sky, antenna")
     if heard.protocol == "rtcm3" and _OF_A_BASE & heard.kinds.keys():
