@@ -183,27 +183,31 @@ class Receiver:
         asked = lost | (state[:, Z_NEWS] == 1) | (state[:, Z_LET_GO] == 1)
         asked |= self.ephemerides.empty
         due = self._time.due(now[part]) & (state[:, Z_CODE] == SOLVED)
-        asked |= due
         ends = first + np.cumsum(state[:, Z_USED])
         said: list[Event] = []
-        for k in np.flatnonzero(asked).tolist():
-            i = part.start + k
-            t_ns, now_s = int(made.t_ns[i]), float(now[i])
-            rows = made.rows[ends[k] - state[k, Z_USED] : ends[k]]
-            used = rows[:, S_SAT].astype(np.int64).tolist()
-            excluded = made.excluded[i, : state[k, Z_EXCLUDED]].tolist()
-            without = self._without(sat[i], table)
-            if state[k, Z_LET_GO]:
-                text = "the receiver's clock jumped: it is found again"
-                said.append(Event(t_ns, "receiver-clock", text))
-            if lost[k]:
-                said += self._news.contradiction(t_ns, now_s)
-            if self.ephemerides.empty and "missing" in without:
-                said += self._news.nothing_known(t_ns, now_s)
+        for k in np.flatnonzero(asked | due).tolist():
+            i, rows = part.start + k, made.rows[ends[k] - state[k, Z_USED] : ends[k]]
+            t_ns, without = int(made.t_ns[i]), self._without(sat[i], table)
+            said += self._troubles(t_ns, float(now[i]), state[k], without)
             if due[k]:
                 said += self._time.look(t_ns, rows, made.points[i, P_POS : P_POS + 3])
-            gdop = float(made.dops[i, 0])
-            said += self._news.satellites(t_ns, used, gdop, excluded, without)
+            used = rows[:, S_SAT].astype(np.int64).tolist()
+            excluded = made.excluded[i, : state[k, Z_EXCLUDED]].tolist()
+            said += self._news.satellites(t_ns, used, float(made.dops[i, 0]), excluded, without)
+        return said
+
+    def _troubles(
+        self, t_ns: int, now: float, state: I64, without: dict[str, list[int]]
+    ) -> list[Event]:
+        """What keeps an epoch's ranges as a whole from being used as they are."""
+        said: list[Event] = []
+        if state[Z_LET_GO]:
+            text = "the receiver's clock jumped: it is found again"
+            said.append(Event(t_ns, "receiver-clock", text))
+        if state[Z_CODE] not in (SOLVED, TOO_FEW):
+            said += self._news.contradiction(t_ns, now)
+        if self.ephemerides.empty and "missing" in without:
+            said += self._news.nothing_known(t_ns, now)
         return said
 
 
