@@ -6,7 +6,7 @@ the windows are horizontal, 3-D for both is beside it. Withheld: all but the n h
 the window's start, of all systems. Where tight is not better, its largest error and that of loose
 coupling are named. The highest satellite is the one that says least of the horizontal place, so
 each one in view is kept alone as well: how far off, and how often better than loose coupling and
-than tight coupling with none.
+than tight coupling with none. Seven windows are few: there are windows every two seconds as well.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "rtk-walk"
 STARTS_S = tuple(float(t) for t in range(40, 101, 10))
 """After the first inertial sample, every ten seconds: heading is found by 25 s, the walk ends at
 132 s."""
+OFTEN_S = tuple(float(t) for t in range(30, 101, 2))
 LENGTHS_S = (10.0, 20.0, 30.0)
 LEFT = (3, 2, 1, 0)
 NO_SATELLITE = np.zeros(0, np.int64)
@@ -204,10 +205,30 @@ def print_each(run: Walk) -> None:
               f"{int((one < loose).sum()):23d}{int((one < none).sum()):11d}")  # fmt: skip
 
 
+def print_often(run: Walk) -> None:
+    """Windows every two seconds, with the highest satellites left: less a matter of chance."""
+    print(
+        "\nWindows every 2 s, overlapping: mean of the largest error, and in how many below loose"
+    )
+    print(f"{'for s':>7}{'windows':>9}{'loose':>9}"
+          + "".join(f"{f'tight, {left}':>18}" for left in LEFT))  # fmt: skip
+    keep = {start: highest(run.vehicle, run.time(start), max(LEFT)) for start in OFTEN_S}
+    for length in LENGTHS_S:
+        loose = np.array([run.worst("loose", start, length, NO_SATELLITE)[0] for start in keep])
+        cells = ""
+        for left in LEFT:
+            tight = [run.worst("tight", start, length, k[:left])[0] for start, k in keep.items()]
+            better = int((np.array(tight) < loose).sum())
+            cells += f"{f'{np.mean(tight):.2f} ({better})':>18}"
+        print(f"{length:7.0f}{len(keep):9d}{loose.mean():9.2f}{cells}")
+        sys.stdout.flush()
+
+
 def main() -> None:
     run = Walk()
     print_open(run)
     print_highest(run)
+    print_often(run)
     print_each(run)
 
 
