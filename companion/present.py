@@ -117,7 +117,9 @@ def _show_flight(console: Console, run: Mapping[str, Any]) -> None:
     console.print(f"Settings  {escape(run['config'])}")
     if run["withheld"]:
         windows = ", ".join(
-            f"{w['start_s']:g}-{w['start_s'] + w['seconds']:g} s" for w in run["withheld"]
+            f"{w['start_s']:g}-{w['start_s'] + w['seconds']:g} s"
+            + (f" but for {w['left']} satellites" if w["left"] else "")
+            for w in run["withheld"]
         )
         console.print(f"Withheld  GNSS in {windows}")
 

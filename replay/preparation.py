@@ -41,13 +41,29 @@ def start_ns(vehicle: VehicleRecording) -> int:
 
 
 def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> VehicleRecording:
-    """The recording without the fixes valid inside any of ``windows``; start included, end not."""
+    """The recording without the fixes valid inside any of ``windows``; start included, end not.
+
+    Of raw GNSS the satellites are left that a window leaves.
+    """
     if not windows:
         return vehicle
     origin = start_ns(vehicle)
     fixes = tuple(_outside(samples, windows, origin) for samples in vehicle.gnss)
-    raw = tuple(_outside(samples, windows, origin) for samples in vehicle.raw)
-    return replace(vehicle, gnss=fixes, raw=raw)
+    none = [window for window in windows if not window.left]
+    raws = [_outside(samples, none, origin) for samples in vehicle.raw]
+    some = [window for window in windows if window.left]
+    if some and raws:
+        from replay.raw_gnss.withheld import with_few
+
+        messages = [*vehicle.broadcast, *[None] * len(raws)]
+        for window in some:
+            begin = origin + round(window.start_s * NS)
+            end = begin + round(window.seconds * NS)
+            raws = [
+                with_few(raw, known, begin, end, window.left)
+                for raw, known in zip(raws, messages, strict=False)
+            ]
+    return replace(vehicle, gnss=fixes, raw=tuple(raws))
 
 
 def _outside(samples: S, windows: Sequence[Window], origin: int) -> S:

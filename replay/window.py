@@ -13,17 +13,23 @@ class Window:
 
     start_s: float
     seconds: float
+    left: int = 0
+    """Satellites that are left of raw GNSS where it is withheld, those that stand highest."""
 
     def __str__(self) -> str:
         """As the command line takes it and a run log keeps it."""
-        return f"{self.start_s!r}+{self.seconds!r}"
+        left = f":{self.left}" if self.left else ""
+        return f"{self.start_s!r}+{self.seconds!r}{left}"
 
 
 def parse_window(text: str) -> Window:
-    """A window from ``START+SECONDS``; :class:`ValueError` for anything else."""
-    start, plus, length = text.partition("+")
-    window = Window(float(start), float(length))
+    """A window from ``START+SECONDS[:LEFT]``; :class:`ValueError` for anything else."""
+    times, colon, left = text.partition(":")
+    start, plus, length = times.partition("+")
+    window = Window(float(start), float(length), int(left) if colon else 0)
     if not plus or not (0 <= window.start_s < math.inf and 0 < window.seconds < math.inf):
+        raise ValueError(text)
+    if window.left < 0:
         raise ValueError(text)
     return window
 

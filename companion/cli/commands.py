@@ -235,7 +235,7 @@ def _describe(result: SessionResult, outages: Sequence[Window]) -> dict[str, Any
         {
             **msgspec.structs.asdict(summary),
             "config": result.chosen.origin,
-            "withheld": [{"start_s": w.start_s, "seconds": w.seconds} for w in outages],
+            "withheld": [plain(w) for w in outages],
             "accuracy": accuracy,
             "no_accuracy_because": why_none,
             "digest": result.digest,

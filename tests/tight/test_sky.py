@@ -7,15 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.config import RawGnss
+from companion.gnss.corrected import S_SAT
+from companion.intake.raw_gnss.receiver import Receiver
 from companion.types import NS, Channel, Recording
 from replay.assessment import outages_of
 from replay.configuration import ChosenConfig
+from replay.preparation import withhold_gnss
 from replay.report.panels import panels
 from replay.report.run_view import RunView
 from replay.run_log import read_solution
 from replay.session import run_log, run_session
 from replay.sky import sky
 from replay.summary import summarise
+from replay.window import Window, parse_window, read_windows
 
 from . import flights
 
@@ -85,3 +90,31 @@ def test_times_without_ranges_are_outages_of_a_run_on_ranges() -> None:
     view = RunView("test", vehicle, flights.config(), run.solution, run.reports, run.events)
     # The one that the run ends in is told by the report.
     assert (view.outages()[-1].start_ns - origin) / NS == pytest.approx(100.0, abs=0.41)
+
+
+def test_a_window_may_leave_the_highest_few() -> None:
+    whole = flights.flight().recording
+    [window] = read_windows(str(Window(40.0, 20.0, 2)))
+    assert window == Window(40.0, 20.0, 2)
+    few = withhold_gnss(whole, [window, Window(80.0, 5.0)])
+    t, before, after = flights.seconds(few), whole.raw[0], few.raw[0]
+    inside = (t >= 40.0) & (t < 60.0)
+    left = [set(row[row > 0].tolist()) for row in after.sat[inside]]
+    assert len(left[0]) == 2
+    assert all(row == left[0] for row in left)
+    assert not ((t >= 80.0) & (t < 85.0)).any()
+    same = np.isin(before.t_ns, after.t_ns[~inside])
+    assert np.array_equal(before.sat[same], after.sat[~inside])
+    receiver = Receiver(RawGnss())
+    receiver.listen(whole.broadcast[0])
+    first = int(np.flatnonzero(inside)[0])
+    seen = [receiver.take(before, i) for i in range(first - 2, first + 1)][-1]
+    high = np.sort(seen.sky[:, 1])[-2:]
+    mine = np.isin(seen.rows[:, S_SAT], list(left[0]))
+    assert np.sort(seen.sky[mine, 1]) == pytest.approx(high)
+
+
+@pytest.mark.parametrize("text", ["40+20:", "40+20:x", "40+20:-1", "40:2", "40+20:2:3"])
+def test_windows_that_are_none(text: str) -> None:
+    with pytest.raises(ValueError, match=r"convert|literal|\d"):
+        parse_window(text)

@@ -37,9 +37,9 @@ def replay(
     outage: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="START+SECONDS",
-            help="Withhold GNSS from START, seconds from the recording's start, for SECONDS. "
-            "May be repeated.",
+            metavar="START+SECONDS[:LEFT]",
+            help="Withhold GNSS from START, seconds from the recording's start, for SECONDS; of "
+            "raw GNSS, all but the LEFT highest satellites. May be repeated.",
         ),
     ] = None,
     speed: Annotated[
@@ -121,7 +121,7 @@ def compare(
     ] = "",
     outage: Annotated[
         list[str] | None,
-        typer.Option(metavar="START+SECONDS", help="Withhold GNSS, as in replay."),
+        typer.Option(metavar="START+SECONDS[:LEFT]", help="Withhold GNSS, as in replay."),
     ] = None,
     config: ConfigPath = None,
     vehicle: VehicleName = None,

@@ -53,7 +53,7 @@ def emit(result: Mapping[str, Any]) -> None:
 
 
 def windows_of(texts: Sequence[str], option: str) -> list[Window]:
-    """``START+SECONDS`` texts as windows; wrong ones are wrong usage."""
+    """``START+SECONDS[:LEFT]`` texts as windows; wrong ones are wrong usage."""
     from replay.window import parse_window
 
     windows = []
@@ -62,7 +62,7 @@ def windows_of(texts: Sequence[str], option: str) -> list[Window]:
             windows.append(parse_window(text))
         except ValueError:
             raise typer.BadParameter(
-                f"'{text}': START+SECONDS, both in seconds, such as 120+30",
+                f"'{text}': START+SECONDS, both in seconds, such as 120+30, or 120+30:2",
                 param_hint=f"'{option}'",
             ) from None
     return windows
