@@ -101,7 +101,8 @@ def choice_of(now: F64) -> I64:
 
     Choices lie on a grid of time, so that who was asked about when changes nothing.
     """
-    sane = np.clip(np.nan_to_num(now), 0.0, MOST_WEEKS * WEEK_S)
+    # Written so that NaN is no time either.
+    sane = np.where(np.abs(now) < MOST_WEEKS * WEEK_S, now, 0.0)
     return np.floor(sane / CHOICE_S).astype(np.int64)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from companion.gnss.corrected import S_RANGE_VAR, S_SAT, S_SYSTEM
 from companion.gnss.single_point import FIX_SIZE, as_fixes
 from companion.intake.raw_gnss.epochs import Epochs
 from companion.intake.raw_gnss.receiver import Receiver
-from companion.intake.raw_gnss.state import Z_EXCLUDED
 from companion.types import (
     F64,
     I64,
@@ -57,16 +56,19 @@ class Said(NamedTuple):
 SILENT = Said((), NO_SATELLITES)
 
 
+def _all(made: list[Epochs], name: str) -> Any:
+    """A column of all epochs; not to be written to."""
+    columns = [getattr(epochs, name) for epochs in made]
+    return columns[0] if len(columns) == 1 else np.concatenate(columns)
+
+
 def _said(made: list[Epochs]) -> Said:
     if not made:
         return SILENT
     return Said(
         tuple(event for epochs in made for event in epochs.events),
         Satellites(
-            np.concatenate([epochs.t_ns for epochs in made]),
-            np.concatenate([epochs.counts for epochs in made]),
-            np.concatenate([epochs.state[:, Z_EXCLUDED] for epochs in made]),
-            np.concatenate([epochs.dops for epochs in made]),
+            _all(made, "t_ns"), _all(made, "counts"), _all(made, "blamed"), _all(made, "dops")
         ),
     )
 
@@ -188,26 +190,23 @@ class RangeIntake:
 
     def _ranges(self, made: list[Epochs]) -> RangeSamples:
         """Satellites of each epoch by number, the order in which they are fused."""
-        counts = np.concatenate([e.counts for e in made])
-        rows = np.concatenate([e.rows for e in made])
+        counts, rows = _all(made, "counts"), np.concatenate([e.rows for e in made])
         epoch = np.repeat(np.arange(len(counts)), counts)
         key = epoch * NUMBERS + rows[:, S_SAT].astype(np.int64)
-        if (np.diff(key) < 0).any():
+        if (key[1:] < key[:-1]).any():
             rows = rows[np.argsort(key, kind="stable")]
         # What a system scatters more than configured is taken for white: it is not inflated.
-        t_ns = np.concatenate([e.t_ns for e in made])
-        factors = np.concatenate([e.trusted for e in made])
+        t_ns, factors = _all(made, "t_ns"), _all(made, "trusted")
         inflation = np.ones(len(counts))
         inflation[counts > 0] = self._inflation(t_ns[counts > 0])
         inflation = (inflation[:, None] + factors - 1.0) / factors
         rows[:, S_RANGE_VAR] *= inflation[epoch, rows[:, S_SYSTEM].astype(np.int64)]
         let_go = np.zeros(len(rows))
         first = np.cumsum(counts) - counts
-        jumped = np.concatenate([e.let_go for e in made]) & (counts > 0)
+        jumped = _all(made, "let_go") & (counts > 0)
         let_go[first[jumped]] = 1.0
-        rx, seq = (np.concatenate([getattr(e, n) for e in made]) for n in ("t_rx_ns", "seq"))
-        scale = np.concatenate([e.clock_scales for e in made])[epoch]
-        return RangeSamples(made[0].source, t_ns[epoch], rx[epoch], seq[epoch], rows, let_go, scale)
+        rx, seq, scale = (_all(made, n)[epoch] for n in ("t_rx_ns", "seq", "clock_scales"))
+        return RangeSamples(made[0].source, t_ns[epoch], rx, seq, rows, let_go, scale)
 
 
 def _fixes(made: list[Epochs], which: list[Flags]) -> GnssSamples:

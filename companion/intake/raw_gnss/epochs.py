@@ -114,6 +114,11 @@ class Epochs:
         return self.state[:, Z_USED]
 
     @property
+    def blamed(self) -> I64:
+        """(N,) how many satellites' range contradicted the others."""
+        return self.state[:, Z_EXCLUDED]
+
+    @property
     def dops(self) -> F64:
         """(N, 5) GDOP, PDOP, HDOP, VDOP, TDOP of the satellites in use."""
         return self.figures[:, E_DOP:E_TRUST]

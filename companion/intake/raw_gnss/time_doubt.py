@@ -35,10 +35,11 @@ class TimeDoubt:
     def due(self, now: F64) -> Flags:
         """(N,) the first epoch of each ten seconds, of epochs in order; they count as looked at."""
         slots = np.floor(now / EVERY_S)
-        first = np.diff(slots, prepend=self._slot) != 0
+        first = np.empty(len(slots), np.bool_)
         if len(slots):
+            first[0], first[1:] = slots[0] != self._slot, slots[1:] != slots[:-1]
             self._slot = float(slots[-1])
-        return np.asarray(first)
+        return first
 
     def look(self, t_ns: int, rows: F64, x: F64) -> list[Event]:
         """Look at an epoch's corrected satellites (m, 12), seen from ``x`` (3,), ECEF."""
