@@ -48,7 +48,7 @@ from companion.intake.raw_gnss.state import (
     Z_USED,
 )
 from companion.intake.raw_gnss.time_doubt import TimeDoubt
-from companion.types import F64, I64, BroadcastSamples, Event, RawGnssSamples
+from companion.types import F64, I64, SATELLITES, BroadcastSamples, Event, RawGnssSamples
 
 NAMES = tuple(name.lower() for name in SYSTEM_NAMES)
 FAULT_PROBABILITY = 1e-4
@@ -221,7 +221,7 @@ def _arranged(raw: RawGnssSamples) -> tuple[I64, F64]:
 
     Columns behind the last one with a satellite are left out.
     """
-    some = np.flatnonzero((raw.sat > 0).any(axis=0))
+    some = np.flatnonzero((raw.sat[:, :SATELLITES] > 0).any(axis=0))
     K = int(some[-1]) + 1 if len(some) else 1
     columns = (raw.pseudorange, raw.rate, raw.cn0, raw.sd_range, raw.sd_rate, raw.signal)
     observed: F64 = np.stack([c[:, :K] for c in columns], axis=2, dtype=np.float64)
