@@ -33,6 +33,7 @@ from replay.streams import GnssClock
 S = TypeVar("S", bound=Samples)
 _OTHERS = {"G": "GLONASS navigation", "H": "SBAS navigation", "M": "meteorology"}
 """RINEX files that stand beside those of use here, by type."""
+_NEAR_TURN = 0.01
 _TOGETHER_S = 5.0
 """Two files of one logger begin and end within this."""
 
@@ -110,11 +111,20 @@ def on_clock(samples: S, clock: GnssClock) -> S:
     return moved
 
 
-def doubted_clock(raw: RawGnssSamples, beside: Samples, clock: GnssClock) -> str | None:
-    """A doubt where both recordings would begin and end together on the other ``clock``.
+def _gap(seconds: float) -> str:
+    """In words; what a lost count of weeks makes, as such."""
+    weeks = seconds / WEEK_S
+    turns = round(weeks / 1024.0)
+    if turns and abs(weeks / 1024.0 - turns) < _NEAR_TURN:
+        return f"{weeks:.0f} weeks ({turns} times 1024, after which some clocks begin anew)"
+    return f"{weeks:.0f} weeks" if weeks > 1.0 else f"{seconds:.0f} s"
 
-    Leap seconds off, a vehicle is where it was a quarter of a minute ago, and every gate says no
-    without saying why.
+
+def doubted_clock(raw: RawGnssSamples, beside: Samples, clock: GnssClock) -> str | None:
+    """A doubt where two recordings of a folder have no time in common, or would fit better.
+
+    That is where both would begin and end together on the other ``clock``: leap seconds off, a
+    vehicle is where it was a quarter of a minute ago, and every gate says no without saying why.
     """
     if not (len(raw) and len(beside)):
         return None
@@ -122,13 +132,17 @@ def doubted_clock(raw: RawGnssSamples, beside: Samples, clock: GnssClock) -> str
     ends = np.array([raw.t_ns[0] - beside.t_ns[0], raw.t_ns[-1] - beside.t_ns[-1]]) / NS
     other: GnssClock = "gps" if clock == "utc" else "utc"
     moved = ends + (leap if clock == "utc" else -leap)
-    if np.abs(moved).max() >= _TOGETHER_S or np.abs(ends).max() < leap - _TOGETHER_S:
-        return None
-    return (
-        f"raw_gnss/ runs {abs(ends.mean()):.0f} s {'ahead of' if ends.mean() < 0 else 'behind'} "
-        f"{beside.source}.csv, as leap seconds do: are its stamps of the other clock? "
-        f'raw_gnss.clock = "{other}" would say so'
-    )
+    if np.abs(moved).max() < _TOGETHER_S and np.abs(ends).max() >= leap - _TOGETHER_S:
+        where = "ahead of" if ends.mean() < 0 else "behind"
+        return (
+            f"raw_gnss/ runs {abs(ends.mean()):.0f} s {where} {beside.source}.csv, "
+            "as leap seconds do: are its stamps of the other clock? "
+            f'raw_gnss.clock = "{other}" would say so'
+        )
+    apart = max(beside.t_ns[0] - raw.t_ns[-1], raw.t_ns[0] - beside.t_ns[-1]) / NS
+    if apart > 0:
+        return f"raw_gnss/ and {beside.source}.csv have no time in common: {_gap(apart)} apart"
+    return None
 
 
 def _from_the_start(parts: list[BroadcastSamples], t_ns: int) -> BroadcastSamples:

@@ -141,3 +141,24 @@ def test_files_that_stand_beside_are_left_out_and_compact_ones_are_named(folder:
     )
     with pytest.raises(LogFormatError, match=r"b\.23d: compact RINEX \(Hatanaka\)"):
         read_log([folder])
+
+
+@pytest.mark.parametrize(
+    ("later_s", "said"),
+    [
+        (1024 * 604_800, "1024 weeks (1 times 1024, after which some clocks begin anew) apart"),
+        (-2048 * 604_800, "2048 weeks (2 times 1024, after which some clocks begin anew) apart"),
+        (3_600, "3599 s apart"),
+    ],
+)
+def test_recordings_without_a_time_in_common_are_told(
+    folder: Path, later_s: int, said: str
+) -> None:
+    head, *rows = (folder / "imu.csv").read_text().splitlines()
+    moved = []
+    for row in rows:
+        stamp, rest = row.split(",", 1)
+        moved.append(f"{int(stamp) + later_s * NS},{rest}")
+    (folder / "imu.csv").write_text("\n".join([head, *moved]) + "\n")
+    [note] = read_log([folder], clock="gps").notes
+    assert note == f"raw_gnss/ and imu.csv have no time in common: {said}"
