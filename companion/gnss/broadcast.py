@@ -87,10 +87,10 @@ class Table:
     knots: F64
     """(M, 2, ·) of :mod:`companion.gnss.knots`, moved on by who uses the table."""
 
-    def without(self, sats: I64) -> dict[str, list[int]]:
+    def without(self, sats: list[int]) -> dict[str, list[int]]:
         """Which of ``sats`` have no ephemeris, by reason."""
         found: dict[str, list[int]] = {}
-        for sat, row in zip(sats.tolist(), self.row_of[sats].tolist(), strict=True):
+        for sat, row in zip(sats, self.row_of[sats].tolist(), strict=True):
             if row <= NO_ROW:
                 found.setdefault(REASONS[NO_ROW - row], []).append(sat)
         return found

@@ -172,7 +172,7 @@ class Receiver:
 
     def _without(self, sats: I64, table: Table) -> dict[str, list[int]]:
         """Which of an epoch's satellites could not be used, by reason."""
-        return table.without(sats[np.isin(sats // 100 - 1, self._ours)])
+        return table.without([sat for sat in sats.tolist() if sat // 100 - 1 in self._ours])
 
     def _said(
         self, made: Epochs, part: slice, first: int, sat: I64, now: F64, table: Table
