@@ -20,6 +20,9 @@ is no noise of these kinds (steps, a hand, reflections common to all satellites)
 a clock is trusted no further than it has shown. Of ν independent samples, ν/(ν − 2) D² is expected.
 
 Means are over cells of a second; what is not without gaps is begun anew, what was learned is kept.
+A clock that has clearly become noisier, being picked up, is another clock: what was learned is
+forgotten, and it is as configured at least until enough was seen of it. Quieter, it is learned as
+the memory fades.
 """
 
 from __future__ import annotations
@@ -43,7 +46,14 @@ REVIEW_CELLS = 8
 LEAST, MOST = 0.01, 10.0
 """Range about what is configured, of standard deviations."""
 WILD = 100.0
-"""Normalised square of a second difference that is a jump or a wrong solution, not noise."""
+"""Normalised square of a difference over 1 s that is a jump or a wrong solution, not noise…"""
+_SPEAKS = 50.0
+"""…and as what it counts among the recent ones: two of them are a change."""
+RECENT_S, RECENT = 16.0, 3
+"""Memory of what was seen recently, and at how many intervals: 1, 2 and 4 s."""
+NOISIER = 6.0
+"""Recent D² against all, of a clock that is another one: with four independent samples of 4 s,
+noise does that once in days."""
 _RING = 1024
 _EDGE_S = 0.1
 """Cells begin this long before an epoch, so that one that comes a little early is no other's."""
@@ -66,7 +76,8 @@ HELD = 14  # phases in the ring, one more than cells without a gap
 SINCE = 15  # cells since noise was worked out
 SQUARES = 16  # (OCTAVES) sums of D², and how many
 SEEN = SQUARES + OCTAVES
-PHASES = SEEN + OCTAVES  # (_RING) integral of the rate at the ends of cells, the newest at 0…
+LATELY = SEEN + OCTAVES  # (RECENT) recent means of D²
+PHASES = LATELY + RECENT  # (_RING) integral of the rate at the ends of cells, the newest at 0…
 HEAD = PHASES + _RING  # …where that is in the ring
 LEARNER_SIZE = HEAD + 1
 
@@ -152,6 +163,26 @@ def _review(s: F64) -> None:
         s[SCALE + i] = np.float32(min(max(noise[i] / asked[i], LEAST * LEAST), MOST * MOST))
 
 
+@njit("b1(f8[::1], i8, f8)", cache=True)
+def _changed(s: F64, j: int, square: float) -> bool:
+    """Whether the clock is noisier than what was learned, with ``square`` its newest D²."""
+    if j >= RECENT:
+        return False
+    fade = math.exp(-1.0 / RECENT_S)
+    s[LATELY + j] = s[LATELY + j] * fade + square * (1.0 - fade)
+    enough = s[SEEN + j] >= RECENT_S
+    return bool(enough and s[LATELY + j] * s[SEEN + j] > NOISIER * s[SQUARES + j])
+
+
+@njit("void(f8[::1])", cache=True)
+def _forget(s: F64) -> None:
+    """Begin anew; until enough is seen, the clock is taken for no better than configured."""
+    s[SQUARES:PHASES] = 0.0
+    s[HELD] = s[SINCE] = 0.0
+    for i in range(Q_SIZE):
+        s[SCALE + i] = max(s[SCALE + i], 1.0)
+
+
 @njit("void(f8[::1], f8)", cache=True)
 def _take_cell(s: F64, rate: float) -> None:
     """Take in the mean rate of a cell that has ended."""
@@ -170,9 +201,11 @@ def _take_cell(s: F64, rate: float) -> None:
         if held <= order * n:
             break
         d = _difference(s, order, n) / n
-        if j == 0 and s[SEEN] >= REVIEW_CELLS and d * d > WILD * s[SQUARES] / s[SEEN]:
-            # Were the clock as wild from now on, that would be learned all the same.
-            s[SQUARES] += (WILD - 1.0) * s[SQUARES] / s[SEEN]
+        wild = j == 0 and s[SEEN] >= REVIEW_CELLS and d * d > WILD * s[SQUARES] / s[SEEN]
+        if _changed(s, j, _SPEAKS * s[SQUARES] / s[SEEN] if wild else d * d):
+            _forget(s)
+            return
+        if wild:
             s[HELD] = 0.0
             return
         s[SQUARES + j] = s[SQUARES + j] * fade + d * d
@@ -200,8 +233,7 @@ def learn_clock(s: F64, t: float, clock: float, rate: float) -> None:
         return
     if s[ORIGIN] != s[ORIGIN] or (rates and s[RATES] == 0.0):
         s[RATES] = 1.0 if rates else 0.0
-        s[SQUARES:PHASES] = 0.0
-        s[HELD] = s[SINCE] = 0.0
+        _forget(s)
         s[ORIGIN] = t - _EDGE_S
         _begin_cell(s, 0.0, t, clock)
     cell = math.floor(t - s[ORIGIN])

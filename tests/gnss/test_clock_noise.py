@@ -90,13 +90,28 @@ def test_gaps_and_jumps_are_no_noise() -> None:
     assert 0.5 * whole[Q_DRIFT] < found < 2.0 * whole[Q_DRIFT]
 
 
-def test_a_clock_that_becomes_noisier_is_learned_anew() -> None:
+@pytest.mark.parametrize("noisier", [10.0, 100.0])
+def test_a_clock_that_is_picked_up_is_no_longer_trusted_and_learned_anew(noisier: float) -> None:
     s = new_learner(CONFIG)
-    t, readings, rates = clock(200, 6, drift=0.01)
-    learned(t, readings, rates, s)
-    t2, readings2, rates2 = clock(600, 7, drift=1.0)
-    found = learned(t2 + 200.0, readings2, rates2, s)
-    assert 0.5 < found[Q_DRIFT] < 2.0
+    t, readings, rates = clock(1800, 6, drift=0.01)
+    assert learned(t, readings, rates, s)[Q_DRIFT] < 0.03
+    t2, readings2, rates2 = clock(100, 7, drift=0.01 * noisier)
+    t2, rates2 = t2 + 1800.0, rates2 - rates2[0] + rates[-1]
+    early = t2 < 1815.0
+    learned(t2[early], readings2[early], rates2[early], s)
+    assert (s[SCALE : SCALE + Q_SIZE] >= 1.0).all()
+    found = learned(t2[~early], readings2[~early], rates2[~early], s)
+    assert 0.5 < found[Q_DRIFT] / (0.01 * noisier) < 2.0
+
+
+def test_one_wrong_solution_is_no_change_of_the_clock() -> None:
+    s = new_learner(CONFIG)
+    t, readings, rates = clock(600, 9, drift=0.02)
+    rates[300 * HZ] += 300.0
+    assert learned(t, readings, rates, s)[Q_DRIFT] < 0.04
+    t, readings, rates = clock(30, 10, drift=0.02)
+    rates += 1000.0
+    assert learned(t + 600.0, readings, rates, s)[Q_DRIFT] < 0.04
 
 
 def test_it_stays_within_its_range_whatever_comes() -> None:
