@@ -4,7 +4,7 @@ What fewer than four satellites are worth depends on what is known of the receiv
 is known least: quartzes differ a thousandfold, and one in a hand is another one than on a table.
 The measure is how mean rates ȳ of intervals of T = 1, 2, 4, … s one behind the other differ: of
 rates the Hadamard variance, of clocks without rates the Allan variance, but for their norm (Riley
-2008, NIST SP 1065, sections 5.2.3 and 5.2.8, in their overlapping forms):
+2008, NIST SP 1065, chapter 5, in their overlapping forms):
 
     rates    D²(T) = ⟨(ȳ₂ − 2 ȳ₁ + ȳ₀)²⟩ = 6 B/T + q_d T + 11/20 q_a T³
     clocks   D²(T) = ⟨(ȳ₁ − ȳ₀)²⟩ = 6 A/T² + 2 B/T + 2/3 q_d T
@@ -49,6 +49,8 @@ WILD = 100.0
 """Normalised square of a difference over 1 s that is a jump or a wrong solution, not noise…"""
 _SPEAKS = 50.0
 """…and as what it counts among the recent ones: two of them are a change."""
+_STILL = 1e-12
+"""D² [m²/s²] below which a rate has not moved at all."""
 RECENT_S, RECENT = 16.0, 3
 """Memory of what was seen recently, and at how many intervals: 1, 2 and 4 s."""
 NOISIER = 6.0
@@ -201,8 +203,9 @@ def _take_cell(s: F64, rate: float) -> None:
         if held <= order * n:
             break
         d = _difference(s, order, n) / n
-        wild = j == 0 and s[SEEN] >= REVIEW_CELLS and d * d > WILD * s[SQUARES] / s[SEEN]
-        if _changed(s, j, _SPEAKS * s[SQUARES] / s[SEEN] if wild else d * d):
+        known = j == 0 and s[SEEN] >= REVIEW_CELLS
+        wild = known and d * d > _STILL + WILD * s[SQUARES] / s[SEEN]
+        if _changed(s, j, _STILL + _SPEAKS * s[SQUARES] / s[SEEN] if wild else d * d):
             _forget(s)
             return
         if wild:

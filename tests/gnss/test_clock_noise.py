@@ -117,7 +117,8 @@ def test_one_wrong_solution_is_no_change_of_the_clock() -> None:
 def test_it_stays_within_its_range_whatever_comes() -> None:
     rng = np.random.default_rng(8)
     t = np.arange(3000) / HZ
-    for rates in (np.zeros(3000), 1e4 * rng.normal(size=3000)):
+    still_then_wild = np.where(t < 100.0, 0.0, rng.normal(size=3000))
+    for rates in (np.zeros(3000), still_then_wild, 1e4 * rng.normal(size=3000)):
         s = new_learner(CONFIG)
         learned(t, rates, rates, s)
         scale = s[SCALE : SCALE + Q_SIZE]
@@ -125,3 +126,4 @@ def test_it_stays_within_its_range_whatever_comes() -> None:
         assert (scale <= MOST**2).all()
         # A smoother's tape keeps single precision.
         assert (scale == scale.astype(np.float32)).all()
+        assert (scale[Q_DRIFT] > 1.0) == (rates[-1] != 0.0)
