@@ -108,6 +108,12 @@ def _whole(raw: RawGnssSamples, messages: BroadcastSamples) -> list[list[AidingS
     return [[messages, raw]]
 
 
+def _several_at_once(raw: RawGnssSamples, messages: BroadcastSamples) -> list[list[AidingSamples]]:
+    """Every other epoch in an arrival of its own: both in one take, with the messages."""
+    odd = np.arange(len(raw)) % 2 == 1
+    return [[raw.take(odd), messages, raw.take(~odd)]]
+
+
 def _one_by_one(raw: RawGnssSamples, messages: BroadcastSamples) -> list[list[AidingSamples]]:
     each: list[AidingSamples] = [s.take(slice(i, i + 1)) for s in (raw, messages) for i in _of(s)]
     return [[one] for one in sorted(each, key=lambda one: int(one.seq[0]))]
@@ -149,7 +155,7 @@ def _config(**raw_gnss: Any) -> Config:
     return msgspec.convert({"raw_gnss": said}, Config)
 
 
-@pytest.mark.parametrize("cut", [_one_by_one, _at_random])
+@pytest.mark.parametrize("cut", [_one_by_one, _at_random, _several_at_once])
 @pytest.mark.parametrize("choice", [{}, {"choice": "best", "best_of": 5, "systems": ["gps"]}])
 def test_however_a_stream_is_cut_the_same_bits_and_events_come_out(
     cut: Callable[..., list[list[AidingSamples]]], choice: dict[str, Any]
