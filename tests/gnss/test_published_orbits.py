@@ -100,7 +100,8 @@ SP3: dict[str, tuple[str, int, tuple[tuple[float, str], ...]]] = {
 """Broadcast file, GPS week, and by second of week: kilometres and microseconds."""
 
 
-def _row(name: str, broadcast: str, folder: Path) -> F64:
+def broadcast_row(name: str, broadcast: str, folder: Path) -> F64:
+    """The ephemeris of satellite ``name`` in a RINEX text, read as a file in ``folder``."""
     path = folder / "broadcast.nav"
     path.write_text(broadcast)
     messages, notes = read_navigation(path)
@@ -112,7 +113,7 @@ def _row(name: str, broadcast: str, folder: Path) -> F64:
 @pytest.mark.parametrize("name", list(SP3))
 def test_place_and_clock_are_those_of_the_final_orbits(name: str, tmp_path: Path) -> None:
     broadcast, week, published = SP3[name]
-    row, out = _row(name, broadcast, tmp_path), np.empty(8)
+    row, out = broadcast_row(name, broadcast, tmp_path), np.empty(8)
     for second, text in published:
         x, y, z, clock_us = (float(word) for word in text.split())
         place = 1e3 * np.array([x, y, z])
