@@ -49,19 +49,19 @@ def withhold_gnss(vehicle: VehicleRecording, windows: Sequence[Window]) -> Vehic
         return vehicle
     origin = start_ns(vehicle)
     fixes = tuple(_outside(samples, windows, origin) for samples in vehicle.gnss)
-    none = [window for window in windows if not window.left]
-    raws = [_outside(samples, none, origin) for samples in vehicle.raw]
-    some = [window for window in windows if window.left]
+    # Without ephemerides nobody knows which stand high, and none is of use.
+    known = len(vehicle.raw) == len(vehicle.broadcast)
+    some = [window for window in windows if window.left and known]
+    raws = [_outside(raw, [w for w in windows if w not in some], origin) for raw in vehicle.raw]
     if some and raws:
         from replay.raw_gnss.withheld import with_few
 
-        messages = [*vehicle.broadcast, *[None] * len(raws)]
         for window in some:
             begin = origin + round(window.start_s * NS)
             end = begin + round(window.seconds * NS)
             raws = [
-                with_few(raw, known, begin, end, window.left)
-                for raw, known in zip(raws, messages, strict=False)
+                with_few(raw, messages, begin, end, window.left)
+                for raw, messages in zip(raws, vehicle.broadcast, strict=True)
             ]
     return replace(vehicle, gnss=fixes, raw=tuple(raws))
 

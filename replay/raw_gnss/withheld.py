@@ -27,11 +27,11 @@ def highest(raw: RawGnssSamples, known: BroadcastSamples, t_ns: int, count: int)
 
 
 def with_few(
-    raw: RawGnssSamples, known: BroadcastSamples | None, begin_ns: int, end_ns: int, left: int
+    raw: RawGnssSamples, known: BroadcastSamples, begin_ns: int, end_ns: int, left: int
 ) -> RawGnssSamples:
     """Only the ``left`` satellites that stand highest at ``begin_ns`` from there to ``end_ns``."""
     inside = (raw.t_ns >= begin_ns) & (raw.t_ns < end_ns)
-    if known is None or not inside.any():
+    if not inside.any():
         return raw
     keep = highest(raw, known, begin_ns, left)
     return replace(raw, sat=np.where(inside[:, None] & ~np.isin(raw.sat, keep), 0, raw.sat))
