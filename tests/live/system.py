@@ -48,6 +48,15 @@ class Companion(Child):
                 break
         raise AssertionError(f"no event '{start}' in {self.events()[-8:]}; {self.last_words()}")
 
+    def await_events(self, *starts: str) -> None:
+        """Wait for events that may come in any order, later than those awaited before."""
+        begin, last = self._seen, self._seen
+        for start in starts:
+            self._seen = begin
+            self.await_event(start)
+            last = max(last, self._seen)
+        self._seen = last
+
     def cpu_s(self) -> float:
         """CPU time of the process so far."""
         text = Path(f"/proc/{self.pid}/stat").read_text(encoding="ascii")
