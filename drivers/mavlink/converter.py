@@ -37,6 +37,8 @@ Sensor = ImuSamples | MagSamples | BaroSamples
 _BETTER_NS = 3 * NS
 """A message stands in for a better one that has not come for this long."""
 _FUTURE_NS = NS // 2
+_OLD_FIX_NS = 5 * NS
+"""No receiver takes this long: a fix that is so far behind the newest stamp is of another boot."""
 _REFERENCE_GAP_NS = NS
 """Attitudes further apart are not interpolated."""
 _REFERENCES = 64
@@ -200,8 +202,15 @@ class Converter:
         self._counters.repeated += int((~new).sum())
         if not new.any():
             return
-        table, boot_us = table[new], boot_us[new]
-        at = self._stamps(messages.fix_boot_us(table, boot_us), seq, rx_ns)
+        stamps = messages.fix_boot_us(table, boot_us)
+        # After a reboot a fix may come before anything else tells of it.
+        old = (stamps > 0) & (1000 * stamps < self._clock.newest_ns - _OLD_FIX_NS)
+        self._counters.not_timed += int((new & old).sum())
+        new &= ~old
+        if not new.any():
+            return
+        table = table[new]
+        at = self._stamps(stamps[new], seq, rx_ns)
         samples, undulation = messages.gnss(name, table, at)
         self._decide_datum(samples, undulation)
         fixes = self._timed(replace(samples, height=samples.height + self._geoid_m), _all(samples))

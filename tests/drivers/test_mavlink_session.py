@@ -228,6 +228,24 @@ def test_the_autopilots_origin_is_kept_until_it_restarts() -> None:
     assert session.origin is None
 
 
+def test_the_first_fix_of_a_new_boot_is_not_put_into_the_old_one() -> None:
+    flight = air()
+    flight.run(20.0)
+    session, before = flight.session, flight.session.counters.not_timed
+    # 0.3 s after a reboot that nothing else has told of.
+    fix = mavlink.MAVLink_gps_raw_int_message(
+        300_000, 3, sim.LAT_E7, sim.LON_E7, sim.ALT_MM, 80, 120, 500, 9000, 14
+    )
+    session.feed(10**9, flight.now_ns, Packer(1, 1).pack(fix))
+    assert session.take() == []
+    assert session.counters.not_timed == before + 1
+    flight.autopilot.reboot(flight.now_ns)
+    flight.run(6.0)
+    fixes = flight.of("GPS_RAW_INT", GnssSamples)
+    assert (fixes.t_rx_ns - fixes.t_ns).max() < NS
+    assert fixes.t_ns[-1] > flight.now_ns - NS
+
+
 def test_a_counter_of_clipped_accelerations_marks_what_follows_it() -> None:
     flight = air()
     flight.run(4.0)
