@@ -26,12 +26,16 @@ def highest(raw: RawGnssSamples, known: BroadcastSamples, t_ns: int, count: int)
     return names
 
 
+def only(raw: RawGnssSamples, begin_ns: int, end_ns: int, keep: I64) -> RawGnssSamples:
+    """Only the satellites ``keep`` from ``begin_ns`` to ``end_ns``."""
+    inside = (raw.t_ns >= begin_ns) & (raw.t_ns < end_ns)
+    return replace(raw, sat=np.where(inside[:, None] & ~np.isin(raw.sat, keep), 0, raw.sat))
+
+
 def with_few(
     raw: RawGnssSamples, known: BroadcastSamples, begin_ns: int, end_ns: int, left: int
 ) -> RawGnssSamples:
     """Only the ``left`` satellites that stand highest at ``begin_ns`` from there to ``end_ns``."""
-    inside = (raw.t_ns >= begin_ns) & (raw.t_ns < end_ns)
-    if not inside.any():
+    if not ((raw.t_ns >= begin_ns) & (raw.t_ns < end_ns)).any():
         return raw
-    keep = highest(raw, known, begin_ns, left)
-    return replace(raw, sat=np.where(inside[:, None] & ~np.isin(raw.sat, keep), 0, raw.sat))
+    return only(raw, begin_ns, end_ns, highest(raw, known, begin_ns, left))

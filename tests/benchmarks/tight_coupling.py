@@ -18,9 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.config import Config, RawGnss, parse
-from companion.gnss.corrected import S_SAT
-from companion.intake.raw_gnss.receiver import Receiver
+from companion.config import Config, parse
 from companion.navigation.earth import ned_difference
 from companion.smoothing.offline import smooth
 from companion.types import (
@@ -29,11 +27,12 @@ from companion.types import (
     NS,
     SATELLITES,
     Outputs,
-    RawGnssSamples,
     Solution,
     VehicleRecording,
 )
 from replay.player import play
+from replay.raw_gnss.withheld import highest as stand_highest
+from replay.raw_gnss.withheld import only
 from replay.recorded import record
 from tests.benchmarks.walk_recording import CONFIG, walk
 
@@ -52,23 +51,12 @@ NAMES = ("loose", "tight", "smoothed")
 
 def highest(vehicle: VehicleRecording, t_ns: int, count: int) -> I64:
     """The ``count`` satellites that stand highest at ``t_ns``."""
-    receiver = Receiver(RawGnss())
-    receiver.listen(vehicle.broadcast[0])
-    raw = vehicle.raw[0]
-    upto = int(np.searchsorted(raw.t_ns, t_ns))
-    for i in range(max(upto - 2, 0), upto + 1):
-        seen = receiver.take(raw, i)
-    order = np.argsort(-seen.sky[:, 1])
-    return seen.rows[order[:count], S_SAT].astype(np.int64)
+    return stand_highest(vehicle.raw[0], vehicle.broadcast[0], t_ns, count)
 
 
 def withheld(vehicle: VehicleRecording, begin: int, end: int, keep: I64) -> VehicleRecording:
     """Only the satellites ``keep`` between two times."""
-    raw = vehicle.raw[0]
-    inside = (raw.t_ns >= begin) & (raw.t_ns < end)
-    gone = inside[:, None] & ~np.isin(raw.sat, keep)
-    part: RawGnssSamples = replace(raw, sat=np.where(gone, 0, raw.sat))
-    return replace(vehicle, raw=(part,))
+    return replace(vehicle, raw=(only(vehicle.raw[0], begin, end, keep),))
 
 
 def in_view(vehicle: VehicleRecording, t_ns: int) -> I64:
