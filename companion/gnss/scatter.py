@@ -26,7 +26,8 @@ from companion.types import F64, I64, SATELLITES
 LEAST_REDUNDANCY = 0.05
 """Of a measurement that is to say something of its own error."""
 SUSPECT = 9.0
-"""Normalised square from which on the worst satellite is left out of what the rest is judged by."""
+"""Normalised square from which on the worst satellite is left out of what the rest is judged by. By
+the variance as configured: one that was learned of a satellite at fault must not hide it."""
 _STEP = 0.02
 
 
@@ -50,12 +51,13 @@ def _share(lever: float, var: float, inside: bool) -> float:
 
 
 @njit(
-    "i8(f8[:, ::1], i8, i8[::1], f8[:, ::1], b1, i8[::1], f8[:, ::1], f8[::1])",
+    "i8(f8[:, ::1], i8, i8[::1], f8[:, ::1], b1, i8[::1], f8[::1], f8[:, ::1], f8[::1])",
     cache=True,
     counted=False,
 )
 def _leave_out_worst(
-    rows: F64, m: int, used: I64, sight: F64, rate: bool, column: I64, N: F64, gain: F64
+    rows: F64, m: int, used: I64, sight: F64, rate: bool, column: I64, factors: F64, N: F64,
+    gain: F64,
 ) -> int:  # fmt: skip
     """Take the satellite that fits worst out of the solution, if it fits badly; its row, or −1.
 
@@ -64,14 +66,15 @@ def _leave_out_worst(
     """
     y_at, lever_at = (G_RATE_RESIDUAL, G_RATE_LEVER) if rate else (G_RESIDUAL, G_LEVER)
     var_at = S_RATE_VAR if rate else S_RANGE_VAR
-    worst, least = -1, SUSPECT
+    worst, largest = -1, 0.0
     for s in range(m):
         y, var = sight[s, y_at], rows[s, var_at]
+        limit = SUSPECT / max(factors[int(rows[s, S_SYSTEM])], 1.0)
         # Fits well whatever its leverage: most are cleared by this.
-        if used[s] == 1 and y * y > SUSPECT * LEAST_REDUNDANCY * var:
+        if used[s] == 1 and y * y > limit * LEAST_REDUNDANCY * var:
             share = _share(sight[s, lever_at], var, True)
-            if share >= LEAST_REDUNDANCY and y * y > least * share * var:
-                worst, least = s, y * y / (share * var)
+            if share >= LEAST_REDUNDANCY and y * y > max(limit, largest) * share * var:
+                worst, largest = s, y * y / (share * var)
     if worst < 0:
         return worst
     k = 3 if rate else column[int(rows[worst, S_SYSTEM])]
@@ -91,25 +94,30 @@ def _leave_out_worst(
 
 
 @njit(
-    "void(f8[:, ::1], i8, i8[::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, :, ::1])",
+    "void(f8[:, ::1], i8, i8[::1], i8[::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[::1],"
+    "f8[:, :, ::1])",
     cache=True,
     counted=False,
 )
 def scatter(
-    rows: F64, m: int, used: I64, column: I64, sight: F64, work: F64, expected: F64, found: F64
-) -> None:
+    rows: F64, m: int, used: I64, column: I64, sight: F64, factors: F64, work: F64, expected: F64,
+    found: F64,
+) -> None:  # fmt: skip
     """Fill ``found`` (2, SYSTEMS, 2) of range and rate: v·ν and ν of each system, zeros without.
 
     ``rows``, ``m``, ``used``, ``column``, ``sight`` and ``work`` as
     :func:`companion.gnss.single_point.solve` left them; ``sight`` is not to be used after this.
-    ``expected``: of :func:`trimmed_mean`.
+    ``factors`` (2, SYSTEMS): what the variances were multiplied by; ``expected``: of
+    :func:`trimmed_mean`.
     """
     found[:, :, :] = 0.0
     for kind in range(2):
         rate = kind == 1
         y_at, lever_at = (G_RATE_RESIDUAL, G_RATE_LEVER) if rate else (G_RESIDUAL, G_LEVER)
         var_at = S_RATE_VAR if rate else S_RANGE_VAR
-        out = _leave_out_worst(rows, m, used, sight, rate, column, work[kind], work[2, 0])
+        out = _leave_out_worst(
+            rows, m, used, sight, rate, column, factors[kind], work[kind], work[2, 0]
+        )
         for c in range(SYSTEMS):
             total, largest, second, dof, count = 0.0, 0.0, 0.0, 0.0, 0
             for s in range(m):

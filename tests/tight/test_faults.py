@@ -7,7 +7,7 @@ import pytest
 
 from tests.consistency.runs import mean_bounds
 
-from .faults import KINDS, MULTIPATH_M, Outcome, fly
+from .faults import HARMLESS_M, KINDS, MULTIPATH_M, Outcome, fly
 
 
 def _outcomes(seeds: int, kind: str, multipath_m: float = MULTIPATH_M) -> list[Outcome]:
@@ -28,6 +28,12 @@ def _judge(done: dict[str, list[Outcome]]) -> None:
 
 def test_a_fault_is_refused_and_the_healthy_are_not() -> None:
     _judge({kind: _outcomes(1, kind) for kind in KINDS})
+
+
+@pytest.mark.parametrize("seed", [12, 18])
+def test_a_ramp_is_not_taken_for_a_noisy_system(seed: int) -> None:
+    """One of five satellites of Galileo: what adaptation learns of the five must not hide it."""
+    assert fly(seed, "ramp 1 m/s", method="fuzzy", clock="learned").detected_m < HARMLESS_M
 
 
 @pytest.mark.slow

@@ -118,7 +118,7 @@ def run(
             gates, before, place, start, frame, own, line, sight, work, column, point, used,
         )  # fmt: skip
         if settings[W_ADAPT] == 1.0 and known and code in (SOLVED, FAULTY):
-            scatter(own, m, used, column, sight, work, expected, found[i])
+            scatter(own, m, used, column, sight, factors, work, expected, found[i])
             _trust(t_ns[i], settings, found[i], a, factors, rings, ring_at, learned, traces[i])
             scale(own, m, factors, before[0])
         now, jumps = week[i] * 604_800.0 + tow[i], clock[C_JUMPS]
