@@ -28,6 +28,19 @@ O_LAT, O_VEL, O_Q, O_ACCEL_BIAS, O_GYRO_BIAS, O_COV, O_MODE, O_RESETS = 0, 3, 6,
 ROW_SIZE = 48
 
 
+@njit("b1(f8[::1])", cache=True, counted=False)
+def presentable(row: F64) -> bool:
+    """Whether a row is fit to be given out: all of it finite, no variance negative."""
+    for i in range(O_MODE):
+        if not abs(row[i]) < 1e30:
+            return False
+    for block in range(5):
+        at = O_COV + 6 * block
+        if row[at] < 0.0 or row[at + 3] < 0.0 or row[at + 5] < 0.0:
+            return False
+    return True
+
+
 @njit("b1(f8[::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1])", cache=True, counted=False)
 def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> bool:
     """Fill an output row; in feedforward mode from INS ⊞ error (``total`` is scratch).
@@ -59,11 +72,4 @@ def write_row(s: F64, k: I64, lay: I64, ipar: I64, total: F64, row: F64) -> bool
         mode = 3
     row[O_MODE] = mode
     row[O_RESETS] = k[RESETS]
-    for i in range(O_MODE):
-        if not abs(row[i]) < 1e30:
-            return False
-    for block in range(5):
-        at = O_COV + 6 * block
-        if row[at] < 0.0 or row[at + 3] < 0.0 or row[at + 5] < 0.0:
-            return False
-    return True
+    return presentable(row)

@@ -30,6 +30,7 @@ from companion.estimation.output_row import (
     O_Q,
     O_RESETS,
     O_VEL,
+    presentable,
 )
 from companion.estimation.parameters import BASE_MODE, COASTING_NS
 from companion.navigation.rotation import quat_to_matrix
@@ -68,11 +69,4 @@ def write_row(s: F64, k: I64, lay: I64, ipar: I64, C: F64, row: F64) -> bool:
         mode = 3
     row[O_MODE] = mode
     row[O_RESETS] = k[RESETS]
-    for i in range(O_MODE):
-        if not abs(row[i]) < 1e30:
-            return False
-    for block in range(5):
-        at = O_COV + 6 * block
-        if row[at] < 0.0 or row[at + 3] < 0.0 or row[at + 5] < 0.0:
-            return False
-    return True
+    return presentable(row)
